@@ -1,0 +1,27 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that callers can act on; each message is one line a user can follow."""
+
+
+class StriMappingError(Exception):
+    """Base of every error this package raises on purpose."""
+
+
+class BagError(StriMappingError):
+    """A bag is missing, broken, or does not hold what was asked of it."""
+
+
+class VehicleError(StriMappingError):
+    """The vehicle description is missing, malformed or contradictory."""
+
+
+class ScanError(StriMappingError):
+    """A scan whose fields contradict one another."""
+
+
+class TrajectoryError(StriMappingError):
+    """A trajectory file or operation that cannot be honoured."""
+
+
+class UsageError(StriMappingError):
+    """A command was called with arguments that cannot work together."""

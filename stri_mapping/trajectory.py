@@ -1,0 +1,161 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stamped planar poses: interpolation at ray times and the TUM text format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stri_mapping import geometry
+from stri_mapping.errors import TrajectoryError
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    Poses of base_link in odom over time.
+
+    Attributes
+    ----------
+    stamps_ns
+        (n,) int64 nanoseconds, strictly increasing.
+    poses
+        (n, 3) as (x, y, yaw) in metres and radians; yaw continuous, not wrapped.
+
+    Raises
+    ------
+    TrajectoryError
+        If the lengths differ or the stamps do not increase.
+
+    """
+
+    stamps_ns: Stamps
+    poses: Array
+
+    def __post_init__(self) -> None:
+        """Check shapes and the order of the stamps."""
+        if self.poses.shape != (len(self.stamps_ns), 3):
+            raise TrajectoryError(f'{len(self.stamps_ns)} stamps with poses of shape '
+                                  f'{self.poses.shape}, want (n, 3)')
+        if np.any(np.diff(self.stamps_ns) <= 0):
+            raise TrajectoryError('stamps of a trajectory must increase')
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps_ns)
+
+    def at(self, stamps_ns: ArrayLike) -> Array:
+        """
+        Return the poses at given times.
+
+        Between two poses the body twist is constant (interpolation along the SE(2) geodesic).
+
+        Parameters
+        ----------
+        stamps_ns
+            (m,) nanoseconds; any order.
+
+        Returns
+        -------
+        Array
+            (m, 3) poses; NaN outside the span of the trajectory, where nothing is known.
+
+        """
+        t = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
+        out = np.full((len(t), 3), np.nan)
+        if len(self) == 0:
+            return out
+        inside = (self.stamps_ns[0] <= t) & (t <= self.stamps_ns[-1])
+        if len(self) == 1:
+            out[inside] = self.poses[0]
+            return out
+        k = np.clip(np.searchsorted(self.stamps_ns, t[inside], side='right') - 1, 0,
+                    len(self) - 2)
+        start, stop = self.stamps_ns[k], self.stamps_ns[k + 1]
+        fraction = (t[inside] - start) / (stop - start)
+        step = geometry.log(geometry.compose(geometry.inverse(self.poses[k]), self.poses[k + 1]))
+        out[inside] = geometry.compose(self.poses[k], geometry.exp(fraction[:, None] * step))
+        return out
+
+    @property
+    def distance(self) -> float:
+        """Length of the path in metres."""
+        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the last; 0 for fewer than two."""
+        return float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9 if len(self) else 0.0
+
+
+def constant_speed(trajectory: Trajectory) -> Trajectory:
+    """
+    Return the straight drive at constant mean speed over the same stamps.
+
+    This is what one has without an estimate of the motion, and what the paper shows for
+    comparison (figures 12 and 13).  It starts at the first pose and ends at the last one's
+    distance, along the chord.
+    """
+    if len(trajectory) < 2:
+        return trajectory
+    t = (trajectory.stamps_ns - trajectory.stamps_ns[0]) / (
+        trajectory.stamps_ns[-1] - trajectory.stamps_ns[0])
+    first, last = trajectory.poses[0], trajectory.poses[-1]
+    poses = np.empty_like(trajectory.poses)
+    poses[:, :2] = first[:2] + t[:, None] * (last[:2] - first[:2])
+    poses[:, 2] = np.arctan2(last[1] - first[1], last[0] - first[0])
+    return Trajectory(trajectory.stamps_ns, poses)
+
+
+def tum_line(stamp_ns: int, pose: ArrayLike) -> str:
+    """Return one TUM line, ``stamp x y z qx qy qz qw``, all with 9 decimals, stamp exact."""
+    x, y, yaw = np.asarray(pose, dtype=float)
+    values = (x, y, 0.0, *geometry.quat_from_yaw(yaw))
+    return f'{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} ' + ' '.join(f'{v:.9f}' for v in values)
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory as TUM text; the same result as `tum_line` for every pose."""
+    lines = [tum_line(int(s), p) for s, p in zip(trajectory.stamps_ns, trajectory.poses)]
+    path.write_text(''.join(line + '\n' for line in lines), encoding='utf-8')
+
+
+def read_tum(path: Path) -> Trajectory:
+    """
+    Read TUM text; lines starting with # are skipped, height, roll and pitch are dropped.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file is missing or a line does not hold eight finite numbers.
+
+    """
+    try:
+        lines = path.read_text(encoding='utf-8').splitlines()
+    except OSError as error:
+        raise TrajectoryError(f'{path}: {error.strerror}') from None
+    stamps, rows = [], []
+    for number, line in enumerate(lines, start=1):
+        fields = line.split()
+        if not fields or fields[0].startswith('#'):
+            continue
+        try:
+            seconds, _, decimals = fields[0].partition('.')
+            stamps.append(int(seconds) * 10**9 + int(f'{decimals:0<9}'[:9]))
+            rows.append([float(v) for v in fields[1:]])
+            if len(rows[-1]) != 7 or not np.all(np.isfinite(rows[-1])):
+                raise ValueError
+        except ValueError:
+            raise TrajectoryError(f'{path}:{number}: want "stamp x y z qx qy qz qw", '
+                                  f'got "{line[:60]}"') from None
+    values = np.array(rows).reshape(-1, 7)
+    yaw = np.unwrap(geometry.yaw_from_quat(values[:, 3:]))
+    return Trajectory(np.array(stamps, dtype=np.int64),
+                      np.column_stack([values[:, :2], yaw]))
