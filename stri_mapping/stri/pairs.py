@@ -1,0 +1,161 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Residuals between two keyframes: point to line, partners found by projection.
+
+The relative pose z = (x, y, yaw) takes surfel coordinates of keyframe a into keyframe b.  Each
+surfel of a is looked up at its bearing in b; no search tree is needed.  A pair of keyframes is
+condensed to one 3x3 information matrix and gradient in z.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.stri.keyframe import (
+    bearing_bin, FACING, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y,
+)
+
+Array = NDArray[np.float64]
+
+SIGMA = 0.02              # metres, one residual
+TANGENT = 0.3             # metres along the line within which a partner counts
+TANGENT_PER_SCALE = 2.0
+SAME_NORMAL = 0.9         # cosine
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def relative(a: Array, b: Array, z: Array) -> None:
+    """Write the pose of a seen from b."""
+    dx, dy = a[0] - b[0], a[1] - b[1]
+    cos, sin = math.cos(b[2]), math.sin(b[2])
+    z[0], z[1], z[2] = cos * dx + sin * dy, -sin * dx + cos * dy, a[2] - b[2]
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def linearise(
+    a: Array, count_a: int, b: Array, count_b: int, bins_b: NDArray[np.int32], z: Array,
+    scale: float, first: int, stride: int, error: Array, moving: NDArray[np.bool_],
+    hessian: Array, gradient: Array, votes: Array,
+) -> tuple[int, float]:
+    """
+    Write information matrix and gradient of the residuals at a relative pose.
+
+    Parameters
+    ----------
+    a, count_a
+        Surfels of the first keyframe and how many there are.
+    b, count_b, bins_b
+        Surfels of the second, their number and bearing bins.
+    z
+        (3,) pose of a in b at which to linearise.
+    scale
+        Geman-McClure scale in metres.
+    first, stride
+        Every stride-th surfel of a is used, beginning with first.
+    error
+        (2,) systematic range error by which surfels are corrected, see `range_error`.
+    moving
+        (labels,) surfaces to leave out, by label modulo its length.
+    hessian, gradient
+        (3, 3) and (3,) written.
+    votes
+        (labels, 2) accepted weight and number of residuals, added up by a's label.
+
+    Returns
+    -------
+    count : int
+        Number of surfels that found a partner.
+    agreement : float
+        Their mean robust weight.
+
+    """
+    cos, sin = math.cos(z[2]), math.sin(z[2])
+    h00 = h01 = h02 = h11 = h12 = h22 = 0.0
+    g0 = g1 = g2 = 0.0
+    n00 = n01 = n11 = 0.0
+    count, total = 0, 0.0
+    reach = max(TANGENT, TANGENT_PER_SCALE * scale)
+    for r in range(first, count_a, stride):
+        label = int(a[r, S_LABEL]) % len(moving)
+        if moving[label]:
+            continue
+        shift = error[0] * a[r, FACING] - error[1] * a[r, PULL]
+        ax, ay = a[r, X] + shift * a[r, NX], a[r, Y] + shift * a[r, NY]
+        px, py = cos * ax - sin * ay, sin * ax + cos * ay
+        x, y = px + z[0], py + z[1]
+        k = _partner(b, count_b, bins_b, x, y)
+        if k < 0:
+            continue
+        nx, ny = b[k, NX], b[k, NY]
+        ex, ey = x - b[k, X], y - b[k, Y]
+        if abs(-ny * ex + nx * ey) > reach:
+            continue
+        e = nx * ex + ny * ey - (error[0] * b[k, FACING] - error[1] * b[k, PULL])
+        w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
+        facing = (cos * a[r, NX] - sin * a[r, NY]) * nx + (sin * a[r, NX] + cos * a[r, NY]) * ny
+        if facing < SAME_NORMAL or abs(e) > 4.0 * scale:
+            w = 0.0
+        count += 1
+        total += w
+        votes[label, 0] += w
+        votes[label, 1] += 1.0
+        if w == 0.0:
+            continue
+        w /= SIGMA * SIGMA
+        j2 = -nx * py + ny * px
+        h00 += w * nx * nx
+        h01 += w * nx * ny
+        h11 += w * ny * ny
+        h02 += w * nx * j2
+        h12 += w * ny * j2
+        h22 += w * j2 * j2
+        g0 += w * nx * e
+        g1 += w * ny * e
+        g2 += w * j2 * e
+        # what the noise of the normals alone would add, along the surface
+        q = w * (b[k, NORMAL_VAR] + a[r, NORMAL_VAR])
+        n00 += q * ny * ny
+        n01 -= q * nx * ny
+        n11 += q * nx * nx
+    hessian[0, 0], hessian[0, 1], hessian[1, 1] = h00 - n00, h01 - n01, h11 - n11
+    hessian[0, 2], hessian[1, 2], hessian[2, 2] = h02, h12, h22
+    gradient[0], gradient[1], gradient[2] = g0, g1, g2
+    _clamp(hessian, gradient)
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+    return count, total / max(count, 1)
+
+
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def _partner(b: Array, count: int, bins: NDArray[np.int32], x: float, y: float) -> int:
+    """Return the surfel of b nearest to a point among those at its bearing, -1 for none."""
+    middle = bins[bearing_bin(math.atan2(y, x))]
+    best, nearest = -1, 1e9
+    for k in range(max(0, middle - 6), min(count, middle + 10)):
+        dx, dy = b[k, X] - x, b[k, Y] - y
+        d = dx * dx + dy * dy
+        if d < nearest:
+            best, nearest = k, d
+    return best
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _clamp(hessian: Array, gradient: Array) -> None:
+    """Remove the direction of translation in which there is no more information than noise."""
+    a, b, o = hessian[0, 0], hessian[1, 1], hessian[0, 1]
+    mean, spread = 0.5 * (a + b), math.sqrt(0.25 * (a - b) ** 2 + o * o)
+    if mean - spread >= 1e-3 * max(mean + spread, 1e-9):
+        return
+    angle = 0.5 * math.atan2(2.0 * o, a - b)
+    nx, ny = math.cos(angle), math.sin(angle)
+    strong = max(mean + spread, 0.0)
+    hessian[0, 0], hessian[0, 1], hessian[1, 1] = (
+        strong * nx * nx, strong * nx * ny, strong * ny * ny)
+    cross = hessian[0, 2] * nx + hessian[1, 2] * ny
+    hessian[0, 2], hessian[1, 2] = cross * nx, cross * ny
+    slope = gradient[0] * nx + gradient[1] * ny
+    gradient[0], gradient[1] = slope * nx, slope * ny

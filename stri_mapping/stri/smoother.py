@@ -1,0 +1,289 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The joint fit: the active knots of the spline against all pairs of keyframes and the priors.
+
+Pairs are condensed (see `pairs`) and linearised again only when their relative pose has moved,
+so that an iteration costs little more than a 36 x 36 solve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.stri.keyframe import BINS, SURFEL
+from stri_mapping.stri.pairs import linearise, relative
+from stri_mapping.stri.spline import pose_at
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+PAIR_STRIDE = 4
+MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
+STOP = 2e-4                       # metres or radians: the fit has converged
+# Residuals of one surface repeat the same error in every pair; this many count as one.
+DILUTION = 60.0
+ANCHOR = 1e8
+
+
+@dataclass(eq=False)
+class Keyframes:
+    """
+    Slots of keyframes; `time`, `knot`, `weights` and `pose` tell where each is on the spline.
+
+    Attributes
+    ----------
+    surfels, counts, bins
+        (slots, m, 7), (slots,), (slots, BINS + 1).
+    time
+        (slots,) seconds on the spline's clock.
+    pose
+        (slots, 3) newest pose of the scanner.
+
+    """
+
+    slots: int
+    capacity: int
+    surfels: Array = field(init=False)
+    counts: Index = field(init=False)
+    bins: NDArray[np.int32] = field(init=False)
+    time: Array = field(init=False)
+    pose: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Allocate once; nothing is allocated per scan."""
+        self.surfels = np.zeros((self.slots, self.capacity, SURFEL))
+        self.counts = np.zeros(self.slots, np.int64)
+        self.bins = np.zeros((self.slots, BINS + 1), np.int32)
+        self.time = np.zeros(self.slots)
+        self.pose = np.zeros((self.slots, 3))
+
+
+@dataclass(eq=False)
+class Pairs:
+    """
+    Condensed pairs of keyframes; the first `count` rows are in use.
+
+    Attributes
+    ----------
+    ends
+        (n, 2) slots of keyframes a and b.
+    z, hessian, gradient
+        (n, 3) pose of a in b at which the pair was linearised, (n, 3, 3), (n, 3).
+    passes
+        (n,) how often it was linearised; 0 forces the next.
+
+    """
+
+    size: int
+    count: int = 0
+    ends: Index = field(init=False)
+    z: Array = field(init=False)
+    hessian: Array = field(init=False)
+    gradient: Array = field(init=False)
+    passes: Index = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Allocate once."""
+        self.ends = np.zeros((self.size, 2), np.int64)
+        self.z = np.zeros((self.size, 3))
+        self.hessian = np.zeros((self.size, 3, 3))
+        self.gradient = np.zeros((self.size, 3))
+        self.passes = np.zeros(self.size, np.int64)
+
+    def add(self, a: int, b: int) -> None:
+        """Add the pair a, b, to be linearised."""
+        self.ends[self.count] = a, b
+        self.passes[self.count] = 0
+        self.count += 1
+
+    def keep(self, mask: Mask) -> None:
+        """Drop the pairs that the mask (count,) does not keep."""
+        rows = np.flatnonzero(mask)
+        for column in (self.ends, self.z, self.hessian, self.gradient, self.passes):
+            column[:len(rows)] = column[rows]
+        self.count = len(rows)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def solve(
+    knots: Array, h: float, first: int, last: int, anchored: bool, ends: Index, z: Array,
+    hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
+    counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
+    jerk: Array, acceleration: Array, error: Array, moving: Mask, votes: Array,
+) -> tuple[Array, float, int]:
+    """
+    Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
+
+    Parameters
+    ----------
+    knots, h
+        (k, 3) spline coefficients, changed in place, and knot spacing in seconds.
+    anchored
+        Whether the first knots are held at their place (nothing before them is fixed).
+    ends .. passes
+        The pairs in use, see `Pairs`.
+    time .. bins
+        The keyframes, see `Keyframes`; `pose` is brought up to date.
+    scales
+        Geman-McClure scales of the iterations, the last for all that follow.
+    newest
+        Pairs with a keyframe at or after this time anneal by `scales`.
+    jerk, acceleration
+        (3,) prior information of third and second differences of the coefficients.
+    error, moving, votes
+        See `pairs.linearise`.
+
+    Returns
+    -------
+    information : Array
+        (3 n, 3 n) information matrix of the active knots.
+    agreement : float
+        Mean robust weight in the newest pairs, 1 where there are none.
+    iterations : int
+        How many were made.
+
+    """
+    n = last - first
+    information, slope = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
+    agreement, made = 1.0, 0
+    for i in range(iterations):
+        information[:], slope[:] = 0.0, 0.0
+        scale, final = scales[min(i, len(scales) - 1)], scales[-1]
+        agreement = _add_pairs(
+            knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
+            bins, scale, final, newest, error, moving, votes, information, slope, agreement)
+        _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, information, slope)
+        _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, information,
+                   slope)
+        for d in range(3 * n):
+            information[d, d] += 1e-6
+        if anchored:
+            for d in range(9):
+                information[d, d] += ANCHOR if d < 3 else 1e2
+        step = np.linalg.solve(information, -slope)
+        for k in range(n):
+            for d in range(3):
+                knots[first + k, d] += step[3 * k + d]
+        made += 1
+        if np.abs(step).max() < STOP and i >= len(scales) - 1:
+            break
+    return information, agreement, made
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_pairs(
+    knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, gradient: Array,
+    passes: Index, time: Array, pose: Array, surfels: Array, counts: Index,
+    bins: NDArray[np.int32], scale: float, final: float, newest: float, error: Array,
+    moving: Mask, votes: Array, information: Array, slope: Array, agreement: float,
+) -> float:
+    weights_a, weights_b = np.empty(4), np.empty(4)
+    now, shift = np.empty(3), np.empty(3)
+    jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
+    good, fresh = 0.0, 0
+    for p in range(len(ends)):
+        a, b = ends[p]
+        ka, kb = int(math.floor(time[a] / h)), int(math.floor(time[b] / h))
+        if ka + 3 < first and kb + 3 < first:
+            continue
+        if ka + 3 >= first:
+            pose_at(knots, h, time[a], weights_a, pose[a])
+        if kb + 3 >= first:
+            pose_at(knots, h, time[b], weights_b, pose[b])
+        relative(pose[a], pose[b], now)
+        new = max(time[a], time[b]) >= newest
+        moved = abs(now[0] - z[p, 0]) + abs(now[1] - z[p, 1]) > MOVED
+        turned = abs(now[2] - z[p, 2]) > TURNED
+        if passes[p] == 0 or moved or turned or (new and passes[p] < 3):
+            _, share = linearise(
+                surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
+                scale if new else final, (a + b) % PAIR_STRIDE, PAIR_STRIDE, error, moving,
+                hessian[p], gradient[p], votes)
+            z[p] = now
+            passes[p] += 1
+            if new:
+                good += share
+                fresh += 1
+        for d in range(3):
+            shift[d] = now[d] - z[p, d]
+        g = gradient[p] + hessian[p] @ shift
+        m = _chain(ka - first, kb - first, weights_a, weights_b, pose[b], now, jacobian, columns)
+        _scatter(jacobian, columns, m, hessian[p], g, information, slope)
+    return good / fresh if fresh else agreement
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _chain(
+    ka: int, kb: int, weights_a: Array, weights_b: Array, pose_b: Array, z: Array,
+    jacobian: Array, columns: Index,
+) -> int:
+    """Write dz / d(active coefficients) and the coefficients' rows; return how many."""
+    cos, sin = math.cos(pose_b[2]), math.sin(pose_b[2])
+    m = 0
+    for i in range(4):
+        if ka + i >= 0:
+            f = weights_a[i]
+            jacobian[0, m], jacobian[0, m + 1], jacobian[0, m + 2] = f * cos, f * sin, 0.0
+            jacobian[1, m], jacobian[1, m + 1], jacobian[1, m + 2] = -f * sin, f * cos, 0.0
+            jacobian[2, m], jacobian[2, m + 1], jacobian[2, m + 2] = 0.0, 0.0, f
+            for d in range(3):
+                columns[m + d] = 3 * (ka + i) + d
+            m += 3
+        if kb + i >= 0:
+            f = weights_b[i]
+            jacobian[0, m], jacobian[0, m + 1], jacobian[0, m + 2] = -f * cos, -f * sin, f * z[1]
+            jacobian[1, m], jacobian[1, m + 1], jacobian[1, m + 2] = f * sin, -f * cos, -f * z[0]
+            jacobian[2, m], jacobian[2, m + 1], jacobian[2, m + 2] = 0.0, 0.0, -f
+            for d in range(3):
+                columns[m + d] = 3 * (kb + i) + d
+            m += 3
+    return m
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _scatter(
+    jacobian: Array, columns: Index, m: int, hessian: Array, g: Array, information: Array,
+    slope: Array,
+) -> None:
+    for i in range(m):
+        slope[columns[i]] += (jacobian[0, i] * g[0] + jacobian[1, i] * g[1]
+                              + jacobian[2, i] * g[2]) / DILUTION
+        h0 = (jacobian[0, i] * hessian[0, 0] + jacobian[1, i] * hessian[1, 0]
+              + jacobian[2, i] * hessian[2, 0]) / DILUTION
+        h1 = (jacobian[0, i] * hessian[0, 1] + jacobian[1, i] * hessian[1, 1]
+              + jacobian[2, i] * hessian[2, 1]) / DILUTION
+        h2 = (jacobian[0, i] * hessian[0, 2] + jacobian[1, i] * hessian[1, 2]
+              + jacobian[2, i] * hessian[2, 2]) / DILUTION
+        for j in range(m):
+            information[columns[i], columns[j]] += (
+                h0 * jacobian[0, j] + h1 * jacobian[1, j] + h2 * jacobian[2, j])
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_prior(
+    knots: Array, first: int, last: int, stencil: Array, weight: Array, information: Array,
+    slope: Array,
+) -> None:
+    """Add the prior that finite differences of the coefficients are small."""
+    width = len(stencil)
+    for k in range(max(first - width + 1, 0), last - width + 1):
+        for d in range(3):
+            e = 0.0
+            for i in range(width):
+                e += stencil[i] * knots[k + i, d]
+            for i in range(width):
+                row = 3 * (k + i - first) + d
+                if row < 0:
+                    continue
+                slope[row] += weight[d] * stencil[i] * e
+                for j in range(width):
+                    column = 3 * (k + j - first) + d
+                    if column >= 0:
+                        information[row, column] += weight[d] * stencil[i] * stencil[j]
