@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import logging
 from pathlib import Path
 from types import TracebackType
@@ -15,16 +15,16 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag1
 from rosbags.rosbag1 import ReaderError as Ros1ReaderError
 from rosbags.rosbag2 import ReaderError as Ros2ReaderError
 from rosbags.typesys import get_typestore, Stores
 
 from stri_mapping import geometry
-from stri_mapping.errors import BagError, ScanError
-from stri_mapping.scan import Scan, scan_from_message, stamp_ns
+from stri_mapping.errors import BagError
+from stri_mapping.scan import Scan, ScanCounts, ScanIntake, stamp_ns
 from stri_mapping.trajectory import Trajectory
-from stri_mapping.vehicle import Scanner, Vehicle
+from stri_mapping.vehicle import remounted, Scanner, Vehicle
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -34,16 +34,6 @@ TRUTH_TOPIC = '/ground_truth/odom'
 # What the readers below raise on bytes that are not what they should be.
 BROKEN = (AnyReaderError, Ros1ReaderError, Ros2ReaderError, AssertionError, EOFError, KeyError,
           IndexError, ValueError, OSError, UnicodeDecodeError, zlib.error)
-
-
-@dataclass
-class ScanCounts:
-    """What was met while reading one topic: good scans and those that had to be left out."""
-
-    read: int = 0
-    malformed: int = 0
-    backwards: int = 0
-    without_returns: int = 0
 
 
 class Bag:
@@ -131,6 +121,18 @@ class Bag:
         except BROKEN as error:
             raise self._broken(error) from None
 
+    def cdr_messages(self, topics: Sequence[str]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Iterate like `raw_messages`, but over the bytes of ROS 2 also for a ROS 1 bag."""
+        store = get_typestore(Stores.ROS2_JAZZY)
+        for connection, log_ns, data in self.raw_messages(topics):
+            if isinstance(connection.ext, ConnectionExtRosbag1):
+                try:
+                    message = self._reader.deserialize(data, connection.msgtype)
+                    data = bytes(store.serialize_cdr(message, connection.msgtype))
+                except BROKEN as error:
+                    raise self._broken(error) from None
+            yield connection, log_ns, data
+
     def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
         """Iterate over (topic, log time in ns, message) in the order of recording."""
         for connection, log_ns, data in self.raw_messages(topics):
@@ -150,24 +152,12 @@ class Bag:
 
         """
         by_topic = {s.topic: s for s in scanners}
-        last: dict[str, int] = {}
-        self.counts = {s.name: ScanCounts() for s in scanners}
+        intakes = {s.topic: ScanIntake(s.topic) for s in scanners}
+        self.counts = {s.name: intakes[s.topic].counts for s in scanners}
         for topic, _, message in self.messages(list(by_topic)):
-            scanner = by_topic[topic]
-            count = self.counts[scanner.name]
-            try:
-                scan = scan_from_message(message)
-            except ScanError as error:
-                count.malformed += 1
-                logger.warning('%s: %s; scan left out', topic, error)
-                continue
-            if scan.stamp_ns <= last.get(topic, scan.stamp_ns - 1):
-                count.backwards += 1
-                continue
-            last[topic] = scan.stamp_ns
-            count.read += 1
-            count.without_returns += not scan.valid.any()
-            yield scanner, scan
+            scan = intakes[topic].take(message)
+            if scan is not None:
+                yield by_topic[topic], scan
 
     def static_transforms(self) -> dict[tuple[str, str], Array]:
         """Return the 4x4 transforms of /tf_static by (parent frame, child frame)."""
@@ -297,12 +287,4 @@ def _recorded_mount(
             logger.warning('%s: frame "%s" is not in /tf_static; the mount of "%s" is taken from '
                            'the vehicle file', scanner.topic, frame, scanner.name)
         return replace(scanner, frame=frame)
-    if np.all(np.isfinite(scanner.T_base_laser)):
-        difference = np.linalg.inv(scanner.T_base_laser) @ recorded
-        shift = float(np.linalg.norm(difference[:3, 3]))
-        turn = float(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
-        if shift > 0.01 or turn > np.deg2rad(0.5):
-            logger.warning('%s: /tf_static puts frame "%s" %.3f m and %.1f deg from where the '
-                           'vehicle file has "%s"; /tf_static is used', scanner.topic, frame,
-                           shift, np.rad2deg(turn), scanner.name)
-    return replace(scanner, frame=frame, T_base_laser=recorded)
+    return remounted(scanner, frame, recorded)

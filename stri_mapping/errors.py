@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that callers can act on; each message is one line a user can follow."""
 
+# Exit codes of commands and nodes.
+EXIT_DATA, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
 
 class StriMappingError(Exception):
     """Base of every error this package raises on purpose."""

@@ -101,7 +101,10 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
     """Return fixed-axis (roll, pitch, yaw) in radians of a 3x3 rotation; pitch in +-pi/2."""
     r = np.asarray(rotation, dtype=float)
-    pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
+    cos_pitch = np.hypot(r[0, 0], r[1, 0])
+    pitch = np.arctan2(-r[2, 0], cos_pitch)
+    if cos_pitch < 1e-8:        # x straight up or down: roll and yaw turn the same way, yaw is 0
+        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
     return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
 
 
@@ -133,6 +136,21 @@ def rotation_from_quat(quat_xyzw: ArrayLike) -> Array:
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ])
+
+
+def quat_from_rotation(rotation: ArrayLike) -> Array:
+    """Return the quaternion (x, y, z, w), w >= 0, of a 3x3 rotation."""
+    r = np.asarray(rotation, dtype=float)
+    # the largest of the four is found first, so that nothing is divided by a small number
+    squares = np.array([1.0 + r[0, 0] - r[1, 1] - r[2, 2], 1.0 - r[0, 0] + r[1, 1] - r[2, 2],
+                        1.0 - r[0, 0] - r[1, 1] + r[2, 2], 1.0 + np.trace(r)])
+    products = np.array([
+        [squares[0], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+        [r[0, 1] + r[1, 0], squares[1], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+        [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[2], r[1, 0] - r[0, 1]],
+        [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], squares[3]]])
+    quat = products[np.argmax(squares)]
+    return np.asarray(quat / np.linalg.norm(quat) * (1.0 if quat[3] >= 0.0 else -1.0))
 
 
 def quat_from_yaw(yaw: ArrayLike) -> Array:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+import logging
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from stri_mapping.errors import ScanError
 
 Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 
 # Time of one mirror turn of every SICK LMS 2xx (technical description: 75.08 Hz).
 MIRROR_TURN = 0.01332
@@ -114,7 +116,7 @@ def ray_times(count: int, angle_increment: float, time_increment: float) -> tupl
         Mirror turns merged in the scan: 1, 2 or 4; 0 where the timing is unknown.
 
     """
-    index = np.arange(count)
+    index = np.arange(count, dtype=float)
     if time_increment != 0.0:
         return index * time_increment, 1
     for step_deg, counts in INTERLACED.items():
@@ -164,8 +166,8 @@ def make_scan(
     remission = None if intensities is None else np.array(intensities, dtype=float)
     if remission is not None and len(remission) != len(r):
         remission = None
-    return Scan(stamp_ns, r, angle_min + angle_increment * np.arange(len(r)), times, remission,
-                range_min, range_max)
+    angles = angle_min + angle_increment * np.arange(len(r), dtype=float)
+    return Scan(stamp_ns, r, angles, times, remission, range_min, range_max)
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -180,3 +182,56 @@ def scan_from_message(message: Any) -> Scan:
         float(message.angle_min), float(message.angle_increment), float(message.time_increment),
         float(message.range_min), float(message.range_max),
         np.frombuffer(message.intensities, dtype=np.float32) if len(message.intensities) else None)
+
+
+@dataclass
+class ScanCounts:
+    """What was met on one topic: good scans and those that had to be left out."""
+
+    read: int = 0
+    malformed: int = 0
+    backwards: int = 0
+    without_returns: int = 0
+
+
+class ScanIntake:
+    """
+    Scans from the messages of one topic, in order; the same for a bag and for a live node.
+
+    Parameters
+    ----------
+    topic
+        Names the topic in warnings.
+
+    """
+
+    def __init__(self, topic: str) -> None:
+        """Start with nothing met."""
+        self.counts = ScanCounts()
+        self._topic = topic
+        self._last_ns: int | None = None
+
+    def take(self, message: Any) -> Scan | None:
+        """
+        Return the scan of the next message.
+
+        Returns
+        -------
+        Scan or None
+            None for a malformed scan and for one whose stamp does not come after the one
+            before it; both are counted.
+
+        """
+        try:
+            scan = scan_from_message(message)
+        except ScanError as error:
+            self.counts.malformed += 1
+            logger.warning('%s: %s; scan left out', self._topic, error)
+            return None
+        if self._last_ns is not None and scan.stamp_ns <= self._last_ns:
+            self.counts.backwards += 1
+            return None
+        self._last_ns = scan.stamp_ns
+        self.counts.read += 1
+        self.counts.without_returns += not scan.valid.any()
+        return scan

@@ -51,7 +51,7 @@ class Trajectory:
         """Return the number of poses."""
         return len(self.stamps_ns)
 
-    def at(self, stamps_ns: ArrayLike) -> Array:
+    def at(self, stamps_ns: ArrayLike, max_gap: float = np.inf) -> Array:
         """
         Return the poses at given times.
 
@@ -61,27 +61,34 @@ class Trajectory:
         ----------
         stamps_ns
             (m,) nanoseconds; any order.
+        max_gap
+            Longest time between two poses, in seconds, that is bridged.
 
         Returns
         -------
         Array
-            (m, 3) poses; NaN outside the span of the trajectory, where nothing is known.
+            (m, 3) poses; NaN outside the span of the trajectory and inside longer gaps than
+            `max_gap`, where nothing is known.
 
         """
         t = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
         out = np.full((len(t), 3), np.nan)
-        if len(self) == 0:
+        if len(self) < 2:
+            out[np.isin(t, self.stamps_ns)] = self.poses[:1]
             return out
-        inside = (self.stamps_ns[0] <= t) & (t <= self.stamps_ns[-1])
-        if len(self) == 1:
-            out[inside] = self.poses[0]
-            return out
-        k = np.clip(np.searchsorted(self.stamps_ns, t[inside], side='right') - 1, 0,
-                    len(self) - 2)
+        k = np.clip(np.searchsorted(self.stamps_ns, t, side='right') - 1, 0, len(self) - 2)
         start, stop = self.stamps_ns[k], self.stamps_ns[k + 1]
-        fraction = (t[inside] - start) / (stop - start)
-        step = geometry.log(geometry.compose(geometry.inverse(self.poses[k]), self.poses[k + 1]))
-        out[inside] = geometry.compose(self.poses[k], geometry.exp(fraction[:, None] * step))
+        known = (start <= t) & (t <= stop) & (
+            (stop - start <= max_gap * 1e9) | (t == start) | (t == stop))
+        if not np.any(known):
+            return out
+        k = k[known]
+        # one step for every pair of poses, not for every ray: rays are many times more
+        poses = self.poses[k.min():k.max() + 2]
+        step = geometry.log(geometry.compose(geometry.inverse(poses[:-1]), poses[1:]))
+        fraction = (t[known] - start[known]) / (stop - start)[known]
+        twist = fraction[:, None] * step[k - k.min()]
+        out[known] = geometry.compose(self.poses[k], geometry.exp(twist))
         return out
 
     @property

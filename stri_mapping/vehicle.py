@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
+import logging
 import os
 from pathlib import Path
 import re
@@ -23,6 +24,7 @@ from stri_mapping.errors import VehicleError
 Array = NDArray[np.float64]
 Role = Literal['horizontal', 'vertical']
 ROLES: tuple[Role, ...] = ('horizontal', 'vertical')
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,33 @@ class Vehicle:
     def verticals(self) -> tuple[Scanner, ...]:
         """The scanners that give the facades, in the file's order (their ring numbers)."""
         return tuple(s for s in self.scanners if s.role == 'vertical')
+
+
+def remounted(scanner: Scanner, frame: str, T_base_laser: Array) -> Scanner:
+    """
+    Return a scanner with the mount that /tf_static has for the frame of its scans.
+
+    A difference of more than 1 cm or 0.5 degrees from the mount it had is said.
+    """
+    if np.all(np.isfinite(scanner.T_base_laser)):
+        difference = np.linalg.inv(scanner.T_base_laser) @ T_base_laser
+        shift = float(np.linalg.norm(difference[:3, 3]))
+        turn = float(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+        if shift > 0.01 or turn > np.deg2rad(0.5):
+            logger.warning('%s: /tf_static puts frame "%s" %.3f m and %.1f deg from where the '
+                           'vehicle file has "%s"; /tf_static is used', scanner.topic, frame,
+                           shift, np.rad2deg(turn), scanner.name)
+    return replace(scanner, frame=frame, T_base_laser=T_base_laser)
+
+
+def write_vehicle(path: Path, vehicle: Vehicle) -> None:
+    """Write a vehicle description that `load_vehicle` reads back as the same vehicle."""
+    entries = [{
+        'name': s.name, 'role': s.role, 'frame': s.frame or f'{s.name}_laser', 'topic': s.topic,
+        'mount': {'xyz': s.T_base_laser[:3, 3].tolist(),
+                  'rpy': geometry.rpy_from_rotation(s.T_base_laser[:3, :3]).tolist()},
+        'port': dict(s.port)} for s in vehicle.scanners]
+    path.write_text(yaml.safe_dump({'scanners': entries}, sort_keys=False), encoding='utf-8')
 
 
 def default_vehicle_file() -> Path:

@@ -20,9 +20,9 @@ from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.stri.joint import JointConfig, JointPath
+from stri_mapping.stri.proposal import propose
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Labels, Segmenter
-from stri_mapping.stri.start import propose_speed
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class StriEstimator:
         """Start with nothing known."""
         self.config = config or EstimatorConfig()
         self.range_image = RangeImage(self.config.image_window)
-        self.range_image_log = RangeImageLog()   # the whole drive, thinned, for the report
+        self.range_image_log = RangeImageLog()
         x_axis = T_base_laser[:2, 0]
         self._mount = np.array([*T_base_laser[:2, 3], np.arctan2(x_axis[1], x_axis[0])])
         self._handed = 1.0 if T_base_laser[2, 2] > 0.0 else -1.0    # -1: mounted upside down
@@ -146,9 +146,7 @@ class StriEstimator:
     def _start(self) -> None:
         """Read the first speed from the slope of the range image, then fit the scans kept."""
         scans = [scan for scan, _ in self._starting]
-        cos, sin = np.cos(self._mount[2]), np.sin(self._mount[2])
-        R = np.array([[cos, -sin], [sin, cos]]) @ np.diag([1.0, self._handed])
-        speed, _ = propose_speed(scans, R)
+        twist, _ = propose([self._profile(scan) for scan in scans], self._mount)
         self._origin_ns = scans[0].stamp_ns
         step = float(abs(scans[0].angles[1] - scans[0].angles[0]))
         self._path = path = JointPath(self._spacing(), step, self.config.joint)
@@ -158,14 +156,26 @@ class StriEstimator:
             rays, start, end = self._prepare(scan, labels)
             if not begun and end > self.config.joint.start_steps * path.h:
                 begun = True
-                path.begin(speed * np.array([cos, -sin, 0.0]))
+                path.begin(self._of_scanner(twist))
             while begun and end > (path.step + 1) * path.h:
                 path.advance()
             path.add(start, end, rays)
         if not begun:
-            path.begin(speed * np.array([cos, -sin, 0.0]))
+            path.begin(self._of_scanner(twist))
         first = geometry.compose(path.pose(path.h), geometry.inverse(self._mount))
         self._T_odom_first = geometry.inverse(first)
+
+    def _of_scanner(self, twist: Array) -> Array:
+        """Return the scanner's own twist when base_link has a twist (3,)."""
+        lever = twist + twist[2] * np.array([-self._mount[1], self._mount[0], 0.0])
+        return np.asarray(_rotation(-self._mount[2]) @ lever)
+
+    def _profile(self, scan: Scan) -> tuple[float, Array, Array]:
+        """Return seconds, bearings and ranges of a scan, as `propose` takes them."""
+        ranges = np.where(scan.valid, scan.ranges, np.nan)
+        order = slice(None, None, 1 if self._handed * scan.angles[-1] > self._handed
+                      * scan.angles[0] else -1)
+        return scan.stamp_ns * 1e-9, self._handed * scan.angles[order], ranges[order]
 
     def _prepare(self, scan: Scan, labels: Labels) -> tuple[Array, float, float]:
         start = self._seconds(scan.stamp_ns)
@@ -189,13 +199,30 @@ class StriEstimator:
             self._refined.append(self._estimate(self._pending.popleft()))
 
     def _estimate(self, stamp_ns: int) -> Estimate:
+        """Return pose and twist of base_link from the path of the scanner."""
         assert self._path is not None
         t = self._seconds(stamp_ns)
         sensor, rate = self._path.pose(t), self._path.velocity(t)
-        pose = geometry.compose(
-            self._T_odom_first, geometry.compose(sensor, geometry.inverse(self._mount)))
-        heading = sensor[2] - self._mount[2]
-        cos, sin = np.cos(heading), np.sin(heading)
-        twist = np.array([cos * rate[0] + sin * rate[1] + rate[2] * self._mount[1],
-                          -sin * rate[0] + cos * rate[1] - rate[2] * self._mount[0], rate[2]])
-        return Estimate(stamp_ns, pose, np.zeros((3, 3)), twist, np.zeros((3, 3)), 1.0, False)
+        x, y, yaw = self._mount
+        to_base = _rotation(yaw - sensor[2])
+        # of the scanner's velocity, what its lever arm does is not base_link's
+        lever = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
+        J_twist = lever @ to_base
+        arm = to_base[:2, :2].T @ [-x, -y]
+        J_pose = _rotation(self._T_odom_first[2]) @ np.array(
+            [[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]], [0.0, 0.0, 1.0]])
+        twist_covariance = J_twist @ self._path.uncertainty.velocity(t) @ J_twist.T
+        sigma = np.sqrt(np.linalg.eigvalsh(twist_covariance[:2, :2])[-1])
+        limit = self.config.degenerate_sigma
+        return Estimate(
+            stamp_ns,
+            geometry.compose(self._T_odom_first,
+                             geometry.compose(sensor, geometry.inverse(self._mount))),
+            J_pose @ self._path.uncertainty.pose(t) @ J_pose.T, J_twist @ rate, twist_covariance,
+            float(1.0 / (1.0 + (sigma / limit) ** 2)), bool(sigma > limit))
+
+
+def _rotation(angle: float) -> Array:
+    """Return the (3, 3) rotation of planar velocities by an angle."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping import geometry
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import Keyframes, Pairs, solve
 from stri_mapping.stri.spline import pose_at, velocity_at
+from stri_mapping.stri.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 
@@ -60,14 +62,14 @@ class JointConfig:
     far: float = 80.0
     start_steps: int = 13
     iterations: int = 7
-    stride: int = 2
     learn_error: bool = True
 
 
 SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 REBUILD_SHIFT, REBUILD_TURN = 0.0015, 0.0004
-SLOTS, POINTS = 384, 1600
+SLOTS, POINTS = 384, 2048
+RAYS_PER_STRIDE = 1000       # rays of a keyframe of which every next one becomes a surfel
 KEEP_EVERY = 0.05     # metres of path between keyframes kept for pairs over distance
 KEEP_TIME = 400       # knot intervals after which a keyframe is too old
 
@@ -95,7 +97,7 @@ class JointPath:
         self.first = 0            # first knot still active
         self.step = 0             # steps done: the spline is valid before step * h
         self.agreement = 1.0
-        self.information = np.eye(3)
+        self.uncertainty = Uncertainty(spacing)
         self.error = RangeError()
         self.moving = np.zeros(LABELS, np.bool_)
         self.votes = np.zeros((LABELS, 2))
@@ -117,11 +119,11 @@ class JointPath:
         """Take the prepared rays of a scan that lasted from start to end."""
         self._scans.append((start, end, rays))
 
-    def begin(self, speed: Array) -> None:
-        """Make the first fit, from a constant velocity (3,) in the scanner's frame."""
+    def begin(self, twist: Array) -> None:
+        """Make the first fit, from a constant twist (3,) of the scanner in its own frame."""
         self.step = self.config.start_steps
         last = self.step + 3
-        self.knots[:last] = np.arange(last)[:, None] * self.h * speed
+        self.knots[:last] = geometry.exp(np.arange(last)[:, None] * self.h * twist)
         slots = [s for k in range(2, self.step + 1) if (s := self._keyframe(k)) is not None]
         self._fit(0, last, slots, START_SCALES, 14)
         self.first = max(0, last + 1 - self.config.active)
@@ -161,7 +163,7 @@ class JointPath:
     def _extrapolate(self) -> None:
         last = self.step + 3
         for k in range(last, last + 4):
-            self.knots[k] = 2.0 * self.knots[k - 1] - self.knots[k - 2]
+            self.knots[k] = self.knots[k-1] + (self.knots[k-1]-self.knots[k-2]) + 0.7*((self.knots[k-1]-self.knots[k-2])-(self.knots[k-2]-self.knots[k-3]))
 
     def _keyframe(self, step: int) -> int | None:
         """Merge the scans of a knot interval, with those just before, and pair them."""
@@ -177,10 +179,9 @@ class JointPath:
         self._sources[slot] = np.concatenate([rays for _, _, rays in merged])
         self._build(slot)
         self._pair(slot)
-        before = self._odometer[self._order[-1]] if self._order else -1.0
         if self.config.learn_error:
             self.error.learn(frames.surfels[slot, :frames.counts[slot]],
-                             float(self._odometer[slot] - before))
+                             float(self._odometer[slot]))
         self._order.append(slot)
         self._scans = [s for s in self._scans if s[1] > end - self.config.span - self.h]
         return slot
@@ -189,9 +190,7 @@ class JointPath:
         frames = self._frames
         t = frames.time[slot]
         rays = self._sources[slot]
-        stride = self.config.stride
-        while len(rays) // stride > POINTS:
-            stride += 1
+        stride = max(1, len(rays) // RAYS_PER_STRIDE)
         frames.counts[slot] = keyframe.build(
             rays, self.knots, self.h, t, self._angle_step, stride, frames.surfels[slot],
             frames.bins[slot])
@@ -256,13 +255,14 @@ class JointPath:
                 self._build(slot)
             ends = self._pairs.ends[:self._pairs.count]
             self._pairs.passes[:self._pairs.count][np.isin(ends, stale).any(axis=1)] = 0
+        self.uncertainty.extend(self.knots, last, self._pairs, self._frames, newest)
 
     def _solve(
         self, first: int, last: int, scales: Array, newest: float, iterations: int,
     ) -> None:
         p, f = self._pairs, self._frames
         n = p.count
-        self.information, self.agreement, _ = solve(
+        _, self.agreement, _ = solve(
             self.knots, self.h, first, last, first == 0, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
             newest, iterations, self._jerk, self._acceleration, self.error.value, self.moving,

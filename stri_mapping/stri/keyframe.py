@@ -6,7 +6,7 @@ Keyframes: the scans of a moment merged into one dense profile of short lines.
 Several turns of the mirror, each ray put where the spline says the scanner was at the ray's own
 time, see every small face with many rays.  Lines are fitted to neighbouring points by running
 sums; each accepted point becomes a surface element (surfel): its foot on the line, the line's
-normal, how sure the normal is, the cosine of incidence, and how a pull towards the near side of
+normal, how sure the normal is, and how a pull towards the near side of
 the footprint would show along the normal (see `range_error`).
 """
 
@@ -26,8 +26,8 @@ Index = NDArray[np.int64]
 # columns of a prepared ray
 RANGE, BEARING, TIME, LONE, LABEL = range(5)
 # columns of a surfel, in the frame of the scanner at the keyframe's time
-X, Y, NX, NY, NORMAL_VAR, S_BEARING, S_LABEL, FACING, PULL = range(9)
-SURFEL = 9
+X, Y, NX, NY, NORMAL_VAR, S_BEARING, S_LABEL, PULL = range(8)
+SURFEL = 8
 
 NOISE = 0.012              # metres, one ray, at zero range; grows by a third every 13 m
 NOISE_RANGE = 40.0
@@ -260,7 +260,6 @@ def _fit(
         surfel[X], surfel[Y] = x - offset * nx, y - offset * ny
         surfel[NX], surfel[NY] = nx, ny
         surfel[NORMAL_VAR] = sigma * sigma / (m * long)
-        surfel[FACING] = facing
         surfel[PULL] = r * r * (1.0 - facing * facing) / facing
         return (kind == 1 or facing > HEAD_ON) and step < GRAZING_FITTED
     return False

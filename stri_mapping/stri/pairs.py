@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.keyframe import (
-    bearing_bin, FACING, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y,
+    bearing_bin, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y,
 )
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def relative(a: Array, b: Array, z: Array) -> None:
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def linearise(
     a: Array, count_a: int, b: Array, count_b: int, bins_b: NDArray[np.int32], z: Array,
-    scale: float, first: int, stride: int, error: Array, moving: NDArray[np.bool_],
+    scale: float, first: int, stride: int, pull: float, moving: NDArray[np.bool_],
     hessian: Array, gradient: Array, votes: Array,
 ) -> tuple[int, float]:
     """
@@ -57,8 +57,8 @@ def linearise(
         Geman-McClure scale in metres.
     first, stride
         Every stride-th surfel of a is used, beginning with first.
-    error
-        (2,) systematic range error by which surfels are corrected, see `range_error`.
+    pull
+        1/m, of slanted footprints, by which surfels are corrected, see `range_error`.
     moving
         (labels,) surfaces to leave out, by label modulo its length.
     hessian, gradient
@@ -82,10 +82,8 @@ def linearise(
     reach = max(TANGENT, TANGENT_PER_SCALE * scale)
     for r in range(first, count_a, stride):
         label = int(a[r, S_LABEL]) % len(moving)
-        if moving[label]:
-            continue
-        shift = error[0] * a[r, FACING] - error[1] * a[r, PULL]
-        ax, ay = a[r, X] + shift * a[r, NX], a[r, Y] + shift * a[r, NY]
+        shift = pull * a[r, PULL]
+        ax, ay = a[r, X] - shift * a[r, NX], a[r, Y] - shift * a[r, NY]
         px, py = cos * ax - sin * ay, sin * ax + cos * ay
         x, y = px + z[0], py + z[1]
         k = _partner(b, count_b, bins_b, x, y)
@@ -95,7 +93,7 @@ def linearise(
         ex, ey = x - b[k, X], y - b[k, Y]
         if abs(-ny * ex + nx * ey) > reach:
             continue
-        e = nx * ex + ny * ey - (error[0] * b[k, FACING] - error[1] * b[k, PULL])
+        e = nx * ex + ny * ey + pull * b[k, PULL]
         w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
         facing = (cos * a[r, NX] - sin * a[r, NY]) * nx + (sin * a[r, NX] + cos * a[r, NY]) * ny
         if facing < SAME_NORMAL or abs(e) > 4.0 * scale:
@@ -104,7 +102,7 @@ def linearise(
         total += w
         votes[label, 0] += w
         votes[label, 1] += 1.0
-        if w == 0.0:
+        if w == 0.0 or moving[label]:
             continue
         w /= SIGMA * SIGMA
         j2 = -nx * py + ny * px

@@ -1,13 +1,13 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The scanner's systematic range error, learnt from the straightness of walls.
+The pull of slanted footprints, learnt from the straightness of walls.
 
-A range that is long by b0 on a surface, or short by b1 (r tan(incidence))^2 because the near
-side of a slanted footprint answers first, bends a straight wall.  A bent wall that passes by
-turns the estimated heading by its curvature per metre driven, degrees in a street; yet a real
-wall's own bends pass through all angles of incidence, and the sensor's do not.  So both
-coefficients are fitted to all walls seen over the last stretch of the drive.
+Where a beam meets a wall at an angle, the near side of its footprint answers first: the range is
+short by b (r tan(incidence))^2.  That bends a straight wall, and a bent wall that passes by turns
+the estimated heading by its curvature, 2 b, per metre driven: degrees in a street.  A real wall
+has bends of its own, but they pass through all angles of incidence while the scanner's do not.
+So b is the robust mean of what all walls seen over the last stretch of the drive say.
 """
 
 from __future__ import annotations
@@ -18,30 +18,35 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import FACING, NX, NY, PULL, X, Y
+from stri_mapping.stri.keyframe import NX, NY, PULL, X, Y
 
 Array = NDArray[np.float64]
 
-# Before any wall is seen: no offset (data sheet: up to 3.5 cm), and a pull of 1 cm at
-# r tan(incidence) = 10 m, give or take as much.
-MEAN = np.array([0.0, 0.0])
-SIGMA = np.array([0.015, 1e-4])
-MEMORY = 60.0         # metres of path after which a wall counts 1/e
-SAME_POINTS = 30.0    # neighbouring surfels share points: so many count as one
+# Before any wall is seen, 1/m: nothing known but that it is small.  A wide beam (11.9 mrad) gave
+# 4e-5 on a real street, a narrow one less.
+MEAN, SIGMA = 0.5e-5, 3e-5
+MEMORY = 200.0        # metres of path over which walls are remembered
+SAME_WALL = 15.0      # keyframes see the same wall again and again: so many count as one
 WALLS = 3             # looked for in a keyframe
 MIN_LENGTH = 6.0      # metres of a wall from which its bend can be told
 SCALE = 0.02          # metres from the line at which a surfel counts half
 
 
 class RangeError:
-    """Running estimate of (b0, b1): metres, and metres per square metre."""
+    """
+    Running estimate of the pull.
+
+    Attributes
+    ----------
+    value
+        b in 1/m.
+
+    """
 
     def __init__(self) -> None:
         """Start from the prior."""
-        self._information = np.diag(SIGMA ** -2.0)
-        self._evidence = np.zeros((2, 2))
-        self._slope = np.zeros(2)
-        self.value = MEAN.copy()
+        self.value = MEAN
+        self._walls: list[tuple[float, float, float]] = []     # path, b, variance of b
 
     def learn(self, surfels: Array, travelled: float) -> None:
         """
@@ -52,84 +57,86 @@ class RangeError:
         surfels
             (n, SURFEL) of the keyframe, uncorrected.
         travelled
-            Metres since the keyframe before, by which older walls are forgotten.
+            Metres of path so far; what lies `MEMORY` behind is forgotten.
 
         """
-        fade = math.exp(-travelled / MEMORY)
-        self._evidence *= fade
-        self._slope *= fade
         use = np.ones(len(surfels), np.bool_)
         for _ in range(WALLS):
-            if not _add_wall(surfels, use, self.value, self._evidence, self._slope):
+            found, b, variance = _wall(surfels, use, self.value)
+            if not found:
                 break
-        right = self._slope + self._information @ MEAN
-        self.value = np.linalg.solve(self._evidence + self._information, right)
+            if variance < np.inf:
+                self._walls.append((travelled, b, variance))
+        self._walls = [w for w in self._walls if travelled - w[0] < MEMORY]
+        if self._walls:
+            self.value = _robust_mean(np.array(self._walls))
+
+
+def _robust_mean(walls: Array) -> float:
+    """
+    Return the Geman-McClure mean of the walls (n, 3) and the prior.
+
+    How straight walls are in this street is read from how much they differ (median absolute
+    deviation); where two planes were taken for one they differ wildly.
+    """
+    value, variance = walls[:, 1], walls[:, 2]
+    z = (value - np.median(value)) / np.sqrt(variance)
+    variance = variance * max(1.48 * float(np.median(np.abs(z))), 0.3) ** 2
+    mean = float(np.median(value))
+    for _ in range(10):
+        robust = (1.0 + (value - mean) ** 2 / (4.0 * variance)) ** -2.0 / variance / SAME_WALL
+        mean = (robust @ value + MEAN / SIGMA ** 2) / (robust.sum() + SIGMA ** -2)
+    return float(mean)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _add_wall(
-    surfels: Array, use: NDArray[np.bool_], value: Array, evidence: Array, slope: Array,
-) -> bool:
-    """Find the longest wall among the surfels in use, add what it tells, and use it up."""
+def _wall(
+    surfels: Array, use: NDArray[np.bool_], known: float,
+) -> tuple[bool, float, float]:
+    """
+    Find the longest wall among the surfels in use, and use it up.
+
+    Returns whether there was one, its b, and the variance of that, infinite where it is too
+    short to tell.
+    """
     angle, offset = _longest(surfels, use)
     if math.isnan(angle):
-        return False
+        return False, 0.0, np.inf
     nx, ny = math.cos(angle), math.sin(angle)
-    matrix, right = np.zeros((4, 4)), np.zeros(4)
-    line = np.zeros(4)
-    line[0] = offset
-    row = np.empty(4)
-    low, high, total, spread = 0.0, 0.0, 0.0, 0.0
+    fit, row = np.array([offset, 0.0, known]), np.empty(3)
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
     for iteration in range(4):
         scale = SCALE * (4.0, 2.0, 1.0, 1.0)[iteration]
         matrix[:], right[:] = 0.0, 0.0
         low, high, total, spread = np.inf, -np.inf, 0.0, 0.0
         for k in range(len(surfels)):
-            along = -ny * surfels[k, X] + nx * surfels[k, Y]
-            across = nx * surfels[k, X] + ny * surfels[k, Y]
             facing = nx * surfels[k, NX] + ny * surfels[k, NY]
-            if not use[k] or abs(facing) < 0.98 or abs(across - offset - line[1] * along) > 0.3:
+            if not use[k] or abs(facing) < 0.98:
                 continue
-            sign = 1.0 if facing > 0.0 else -1.0
-            # a range long by e moves the surfel by -e cos(incidence) along its normal
-            row[0], row[1] = 1.0, along
-            row[2], row[3] = -sign * surfels[k, FACING], sign * surfels[k, PULL]
-            e = across - (line[0] + line[1] * along)
-            if iteration > 0:
-                e -= line[2] * row[2] + line[3] * row[3]
-            else:
-                e -= value[0] * row[2] + value[1] * row[3]
+            across = nx * surfels[k, X] + ny * surfels[k, Y]
+            # a range short by e moves the surfel by e cos(incidence) along its normal
+            row[0], row[1] = 1.0, -ny * surfels[k, X] + nx * surfels[k, Y]
+            row[2] = surfels[k, PULL] if facing > 0.0 else -surfels[k, PULL]
+            e = across - (fit[0] + fit[1] * row[1] + fit[2] * row[2])
             if abs(e) > 5.0 * scale:
-                if iteration == 3 and abs(e) < 0.15:
-                    use[k] = False
+                use[k] = iteration < 3 or abs(e) > 0.15
                 continue
+            use[k] = iteration < 3
             w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
             total += w
             spread += w * e * e
-            low, high = min(low, along), max(high, along)
-            for i in range(4):
+            low, high = min(low, row[1]), max(high, row[1])
+            for i in range(3):
                 right[i] += w * row[i] * across
-                for j in range(4):
+                for j in range(3):
                     matrix[i, j] += w * row[i] * row[j]
-            if iteration == 3:
-                use[k] = False
         if total < 40.0 or high - low < MIN_LENGTH:
-            return bool(total > 0.0 and iteration == 3)
-        if iteration < 3:
-            # the bend is weakly determined by one wall: hold it near what is known
-            held, target = matrix.copy(), right.copy()
-            for i in range(2):
-                weight = (0.01 / SIGMA[i]) ** 2
-                held[2 + i, 2 + i] += weight
-                target[2 + i] += weight * value[i]
-            line[:] = np.linalg.solve(held, target)
-    variance = max(spread / total, 0.004 ** 2) * SAME_POINTS
-    # the line itself is not of interest: Schur complement
-    cross = matrix[2:, :2].copy()
-    given = cross @ np.linalg.inv(matrix[:2, :2].copy())
-    evidence += (matrix[2:, 2:] - given @ cross.T) / variance
-    slope += (right[2:] - given @ right[:2]) / variance
-    return True
+            for k in range(len(surfels)):
+                if abs(nx * surfels[k, X] + ny * surfels[k, Y] - offset) < 0.15:
+                    use[k] = False
+            return True, 0.0, np.inf
+        fit = np.linalg.solve(matrix, right)
+    return True, fit[2], max(spread / total, 0.004 ** 2) * np.linalg.inv(matrix)[2, 2] * 30.0
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

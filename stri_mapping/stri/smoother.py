@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-PAIR_STRIDE = 4
+RESIDUALS = 200                   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
 STOP = 2e-4                       # metres or radians: the fit has converged
 # Residuals of one surface repeat the same error in every pair; this many count as one.
@@ -116,7 +116,7 @@ def solve(
     knots: Array, h: float, first: int, last: int, anchored: bool, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
-    jerk: Array, acceleration: Array, error: Array, moving: Mask, votes: Array,
+    jerk: Array, acceleration: Array, pull: float, moving: Mask, votes: Array,
 ) -> tuple[Array, float, int]:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -137,7 +137,7 @@ def solve(
         Pairs with a keyframe at or after this time anneal by `scales`.
     jerk, acceleration
         (3,) prior information of third and second differences of the coefficients.
-    error, moving, votes
+    pull, moving, votes
         See `pairs.linearise`.
 
     Returns
@@ -158,7 +158,7 @@ def solve(
         scale, final = scales[min(i, len(scales) - 1)], scales[-1]
         agreement = _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
-            bins, scale, final, newest, error, moving, votes, information, slope, agreement)
+            bins, scale, final, newest, pull, moving, votes, information, slope, agreement)
         _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, information, slope)
         _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, information,
                    slope)
@@ -181,7 +181,7 @@ def solve(
 def _add_pairs(
     knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, gradient: Array,
     passes: Index, time: Array, pose: Array, surfels: Array, counts: Index,
-    bins: NDArray[np.int32], scale: float, final: float, newest: float, error: Array,
+    bins: NDArray[np.int32], scale: float, final: float, newest: float, pull: float,
     moving: Mask, votes: Array, information: Array, slope: Array, agreement: float,
 ) -> float:
     weights_a, weights_b = np.empty(4), np.empty(4)
@@ -202,9 +202,10 @@ def _add_pairs(
         moved = abs(now[0] - z[p, 0]) + abs(now[1] - z[p, 1]) > MOVED
         turned = abs(now[2] - z[p, 2]) > TURNED
         if passes[p] == 0 or moved or turned or (new and passes[p] < 3):
+            stride = max(1, counts[a] // RESIDUALS)
             _, share = linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
-                scale if new else final, (a + b) % PAIR_STRIDE, PAIR_STRIDE, error, moving,
+                scale if new else final, (a + b) % stride, stride, pull, moving,
                 hessian[p], gradient[p], votes)
             z[p] = now
             passes[p] += 1

@@ -1,0 +1,142 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Life of a node's process: start, spin, and an end that loses nothing.
+
+The first SIGINT or SIGTERM asks for the end: the node still takes what has already reached its
+readers, finishes its computation, publishes and writes the rest.  The second one kills.  SIGHUP,
+the end of terminal or supervisor, only asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import ctypes
+import logging
+import os
+import signal
+import sys
+from types import FrameType
+from typing import Protocol
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.exceptions import ROSInterruptException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, TimeoutException
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from stri_mapping.errors import EXIT_DATA, EXIT_USAGE, StriMappingError, UsageError
+from stri_mapping.supervisor import SUPERVISOR_VARIABLE
+
+PR_SET_PDEATHSIG = 1
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# Seconds a subscriber may take to acknowledge the last messages before it is given up.
+ACKNOWLEDGE = Duration(seconds=5)
+
+
+class ProcessingNode(Protocol):
+    """What `run_node` needs: a node, and what is to be done once no message will come."""
+
+    @property
+    def node(self) -> Node:
+        """The ROS node."""
+
+    def finish(self) -> None:
+        """Finish the computation, publish and write the rest."""
+
+
+class StopRequest:
+    """Whether a signal came that asks for the end; a second SIGINT or SIGTERM kills."""
+
+    def __init__(self) -> None:
+        """Install the handlers."""
+        self.requested = False
+        for number in (*STOP_SIGNALS, signal.SIGHUP):
+            signal.signal(number, self._request)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+        if number in STOP_SIGNALS:
+            for each in STOP_SIGNALS:
+                signal.signal(each, signal.SIG_DFL)
+
+
+def follow_supervisor() -> None:
+    """Ask the kernel for a SIGHUP when the supervisor dies, however it dies."""
+    supervisor = os.environ.get(SUPERVISOR_VARIABLE)
+    if supervisor is None or not sys.platform.startswith('linux'):
+        return
+    # it comes once for every thread the supervisor had: never a signal whose second one kills
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
+    if os.getppid() != int(supervisor):         # it died before the call above
+        signal.raise_signal(signal.SIGHUP)
+
+
+def run_node(make: Callable[[], ProcessingNode], args: list[str] | None = None) -> int:
+    """
+    Run one node until it is asked to stop; return the exit code of its process.
+
+    Parameters
+    ----------
+    make
+        Makes the node once ROS is up.
+    args
+        Command line; that of the process by default.
+
+    """
+    return guarded(lambda stop: _spin(make, stop), args)
+
+
+def guarded(body: Callable[[StopRequest], None], args: list[str] | None = None) -> int:
+    """Run a body between the start and the end of ROS; return an exit code, log errors."""
+    logging.basicConfig(level=logging.INFO, format='%(levelname)s: %(message)s')
+    stop = StopRequest()
+    follow_supervisor()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        body(stop)
+    except StriMappingError as error:
+        logging.error('%s', error)
+        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_DATA
+    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+        return EXIT_DATA
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
+    processing = make()
+    warn_of_unknown_parameters(processing.node)
+    executor = SingleThreadedExecutor()
+    executor.add_node(processing.node)
+    try:
+        while not stop.requested:
+            executor.spin_once(timeout_sec=0.1)
+        drain(executor)
+        processing.finish()
+        for publisher in processing.node.publishers:
+            publisher.wait_for_all_acked(ACKNOWLEDGE)
+    finally:
+        executor.shutdown()
+        processing.node.destroy_node()
+
+
+def drain(executor: SingleThreadedExecutor) -> None:
+    """Run callbacks until nothing has been ready for a moment: the readers are empty then."""
+    while True:
+        try:
+            callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.2)
+        except TimeoutException:
+            return
+        callback()
+        callback.result()
+
+
+def warn_of_unknown_parameters(node: Node) -> None:
+    """Say which of the parameters given are not the node's: misspelt, they have no effect."""
+    # rclpy has no public way to ask what was given
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name):
+            node.get_logger().warning(f'parameter {name} is unknown and has no effect')

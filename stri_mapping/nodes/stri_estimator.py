@@ -1,0 +1,145 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node: horizontal scans in, odometry, velocity and the final path out."""
+
+from __future__ import annotations
+
+import sys
+from time import perf_counter
+from typing import Any
+
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry, Path
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+
+from stri_mapping.nodes import conversions
+from stri_mapping.nodes.diagnostics import Diagnostics, OK, Report, WARN
+from stri_mapping.nodes.parameters import declare, NodeSettings
+from stri_mapping.nodes.process import run_node
+from stri_mapping.nodes.scan_input import ScanInput
+from stri_mapping.nodes.transforms import mounts_from_tf, TransformOutput
+from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts, write_summary
+from stri_mapping.scan import Scan
+from stri_mapping.stri.estimate import Estimate
+from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
+
+# Latched and deep: an aligner that starts or connects late still gets every pose.
+TRAJECTORY_QOS = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# Seconds of final poses gathered into one message: ten messages a second, not 75.
+PATH_SPAN_NS = 100_000_000
+PICTURE_PERIOD = 0.5
+
+
+class StriEstimatorNode:
+    """Feeds the estimator with the horizontal scanner's topic and publishes what it says."""
+
+    def __init__(self) -> None:
+        """Declare, warm up, then connect: a matched subscription means readiness."""
+        self.node = Node('stri_estimator')
+        self.settings = declare(self.node, NodeSettings)
+        self._publish_tf = bool(self.node.declare_parameter('publish_tf', True).value)
+        config = declare(self.node, EstimatorConfig)
+        self._folder = self.settings.results_folder()
+        self._vehicle = mounts_from_tf(self.node, self.settings)
+        scanner = self._vehicle.horizontal
+        self._estimator = StriEstimator(scanner.T_base_laser, config)
+        self.node.get_logger().info('preparing; the first time, this compiles for a while')
+        self._estimator.warm_up()
+        self._writer = MotionWriter(self._folder) if self._folder else None
+        self._final: list[Estimate] = []         # final, not yet published
+        self._newest: Estimate | None = None
+        self._seconds_busy = 0.0
+        self._advertise()
+        self._input = ScanInput(self.node, scanner, self._take)
+
+    def _advertise(self) -> None:
+        create = self.node.create_publisher
+        self._odometry = create(Odometry, 'odom', 100)
+        self._velocity = create(TwistWithCovarianceStamped, 'velocity', 100)
+        self._path = create(Path, 'trajectory', TRAJECTORY_QOS)
+        self._tf = TransformOutput(self.node) if self._publish_tf else None
+        self._image = create(Image, 'stri/image', 2)
+        self._segments = create(Image, 'stri/segments', 2)
+        self.node.create_timer(PICTURE_PERIOD, self._publish_pictures,
+                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = Diagnostics(self.node, {'motion': self._report})
+
+    def _take(self, scan: Scan) -> None:
+        start = perf_counter()
+        estimate = self._estimator.add(scan)
+        self._seconds_busy += perf_counter() - start
+        if estimate is not None:
+            self._publish(estimate)
+        self._final += self._estimator.take_refined()
+        if self._final and self._final[-1].stamp_ns - self._final[0].stamp_ns >= PATH_SPAN_NS:
+            self._publish_final()
+
+    def _publish(self, estimate: Estimate) -> None:
+        odom, base = self.settings.odom_frame, self.settings.base_frame
+        self._newest = estimate
+        self._odometry.publish(conversions.odometry_message(estimate, odom, base))
+        self._velocity.publish(conversions.velocity_message(estimate, base))
+        if self._tf is not None:
+            self._tf.publish(conversions.transform_message(estimate, odom, base))
+
+    def _publish_final(self) -> None:
+        final, self._final = self._final, []
+        if not final:
+            return
+        self._path.publish(conversions.path_message(final, self.settings.odom_frame))
+        if self._writer is not None:
+            self._writer.write(final)
+
+    def _publish_pictures(self) -> None:
+        image = self._estimator.range_image
+        if len(image) == 0 or self._newest is None:
+            return
+        for publisher, picture in ((self._image, image.picture),
+                                   (self._segments, image.segment_picture)):
+            if publisher.get_subscription_count():
+                publisher.publish(conversions.image_message(
+                    picture(), self._newest.stamp_ns, self._vehicle.horizontal.frame))
+
+    def _report(self) -> Report:
+        counts, newest = self._input.counts, self._newest
+        values = {'Scans': counts.read, 'Malformed scans': counts.malformed,
+                  'Scans out of order': counts.backwards,
+                  'Milliseconds per scan': f'{1e3 * self._seconds_busy / max(counts.read, 1):.2f}'}
+        if counts.read == 0:
+            return Report(WARN, 'no scans yet', values)
+        if newest is None:
+            return Report(OK, 'starting up', values)
+        values['Speed'] = f'{newest.twist[0]:.2f} m/s'
+        values['Quality'] = f'{newest.quality:.2f}'
+        if newest.degenerate:
+            return Report(WARN, 'too little structure to see the motion: coasting', values)
+        return Report(OK, 'tracking', values)
+
+    def finish(self) -> None:
+        """Make the last poses final; publish and write them."""
+        self._estimator.finish()
+        self._final += self._estimator.take_refined()
+        self._publish_final()
+        if self._writer is not None and self._folder is not None:
+            self._writer.close()
+            self._estimator.range_image_log.save(self._folder / RANGE_IMAGE_NAME)
+            write_summary(self._folder, self._facts(self._writer))
+
+    def _facts(self, writer: MotionWriter) -> dict[str, Any]:
+        scans = self._input.stamps
+        return {'scans': len(scans), **writer.facts(),
+                'ms_per_scan': round(1e3 * self._seconds_busy / max(len(scans), 1), 3),
+                'scanners': [scanner_facts(self._vehicle, self._vehicle.horizontal, scans,
+                                           self._input.counts)]}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(StriEstimatorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,131 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the report is made of, read from a results folder; missing parts are None."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+import zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.errors import StriMappingError
+from stri_mapping.facade.cloud_files import count_points, PLY_NAME, read_ply
+from stri_mapping.facade.push_broom import at_constant_speed
+from stri_mapping.results import (
+    EVALUATION_NAME, RANGE_IMAGE_NAME, read_summary, read_velocity, TRAJECTORY_NAME,
+    VELOCITY_NAME)
+from stri_mapping.trajectory import read_tum, Trajectory
+
+Array = NDArray[np.float64]
+
+# Points drawn at most: a denser cloud is thinned evenly in time.
+MAX_POINTS = 3_000_000
+# A drive whose ends are nearer than this share of its length is not straight enough to be
+# compared with a straight drive at constant speed.
+STRAIGHT = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImageData:
+    """The thinned range image of the drive: see `stri.range_image.RangeImageLog.save`."""
+
+    seconds: Array
+    bearings: Array
+    ranges: NDArray[np.float32]
+    segments: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points (n, 3) as aligned, and as they would lie at constant speed (None if not straight)."""
+
+    xyz: Array
+    intensity: Array
+    before: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """Everything in the folder; times in seconds since the first pose."""
+
+    summary: dict[str, Any]
+    evaluation: dict[str, Any]
+    path: Trajectory | None
+    seconds: Array
+    velocity: Array
+    range_image: RangeImageData | None
+    cloud: Cloud | None
+
+    @property
+    def degenerate(self) -> list[tuple[float, float]]:
+        """Stretches (from, to) in seconds in which the motion was not observable."""
+        if self.path is None:
+            return []
+        origin = self.path.stamps_ns[0] * 1e-9
+        return [(a - origin, b - origin) for a, b in self.summary.get('degenerate_stretches', [])]
+
+
+def read_folder(folder: Path) -> ReportData:
+    """
+    Read a results folder.
+
+    Raises
+    ------
+    StriMappingError
+        If a file that is there cannot be understood.
+
+    """
+    path = read_tum(folder / TRAJECTORY_NAME) if (folder / TRAJECTORY_NAME).is_file() else None
+    path = path if path is not None and len(path) > 1 else None
+    stamps, velocity = np.empty(0, np.int64), np.empty((0, 7))
+    if (folder / VELOCITY_NAME).is_file():
+        stamps, velocity = read_velocity(folder / VELOCITY_NAME)
+    origin = int(path.stamps_ns[0]) if path is not None else 0
+    return ReportData(
+        read_summary(folder), _evaluation(folder / EVALUATION_NAME), path,
+        (stamps - origin) * 1e-9, velocity, _range_image(folder / RANGE_IMAGE_NAME, origin),
+        _cloud(folder / PLY_NAME, path))
+
+
+def _evaluation(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        return dict(json.loads(path.read_text(encoding='utf-8')))
+    except ValueError:
+        raise StriMappingError(f'{path}: want a JSON object') from None
+
+
+def _range_image(path: Path, origin: int) -> RangeImageData | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path) as content:
+            if len(content['stamps_ns']) < 2 or len(content['bearings']) < 2:
+                return None
+            return RangeImageData((content['stamps_ns'] - origin) * 1e-9, content['bearings'],
+                                  content['ranges'], content['segments'])
+    except (KeyError, ValueError, OSError, zipfile.BadZipFile):
+        raise StriMappingError(f'{path}: want the arrays stamps_ns, bearings, ranges and '
+                               'segments') from None
+
+
+def _cloud(path: Path, trajectory: Trajectory | None) -> Cloud | None:
+    count = count_points(path)
+    if count == 0 or trajectory is None:
+        return None
+    rows = np.concatenate(list(read_ply(path, every=-(-count // MAX_POINTS))))
+    xyz = np.column_stack([rows['x'], rows['y'], rows['z']])
+    chord = float(np.hypot(*(trajectory.poses[-1] - trajectory.poses[0])[:2]))
+    before = None
+    if chord > STRAIGHT * trajectory.distance > 0.0:
+        # a time as a float of seconds is good to 0.2 microseconds: no ray falls off the ends
+        stamps = np.clip(np.rint(rows['time'] * 1e9).astype(np.int64),
+                         trajectory.stamps_ns[0], trajectory.stamps_ns[-1])
+        before = at_constant_speed(xyz, stamps, trajectory)
+    return Cloud(xyz, rows['intensity'].astype(float), before)

@@ -1,0 +1,321 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The results folder, the same for the offline command and the live graph.
+
+trajectory.tum and velocity.csv (`MotionWriter`), facade.ply and facade.laz (`CloudWriter`) grow
+while the drive goes on; summary.json (`write_summary`) and report.html
+(`stri_mapping.report.write_report`) are made of them at the end.  Several processes may each add
+their facts to one summary in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import json
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stri_mapping import __version__, geometry
+from stri_mapping.errors import StriMappingError, UsageError
+from stri_mapping.facade.cloud_files import CloudWriter, count_points, LAZ_NAME, PLY_NAME
+from stri_mapping.scan import ScanCounts
+from stri_mapping.stri.estimate import Estimate
+from stri_mapping.trajectory import read_tum, tum_line
+from stri_mapping.vehicle import Scanner, Vehicle
+
+Array = NDArray[np.float64]
+
+TRAJECTORY_NAME, VELOCITY_NAME = 'trajectory.tum', 'velocity.csv'
+SUMMARY_NAME, RANGE_IMAGE_NAME = 'summary.json', 'range_image.npz'
+EVALUATION_NAME, REPORT_NAME = 'evaluation.json', 'report.html'
+VELOCITY_HEADER = 'stamp,vx,vy,wz,sigma_vx,sigma_vy,sigma_wz,quality'
+RESULT_NAMES = (TRAJECTORY_NAME, VELOCITY_NAME, PLY_NAME, LAZ_NAME, SUMMARY_NAME,
+                RANGE_IMAGE_NAME, EVALUATION_NAME, REPORT_NAME)
+
+
+def prepare_folder(folder: Path, overwrite: bool = False) -> None:
+    """
+    Make a results folder, with its parents.
+
+    Parameters
+    ----------
+    folder
+        Where results go.
+    overwrite
+        Accept a folder that holds something; results of an earlier run in it are removed,
+        other files left alone.
+
+    Raises
+    ------
+    UsageError
+        If the path is a file, cannot be made, or holds something and `overwrite` is false.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()) and not overwrite:
+            raise UsageError(f'{folder}: not empty; name another folder or add --overwrite')
+        for name in RESULT_NAMES:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise UsageError(f'{folder}: cannot hold results: {error.strerror}') from None
+
+
+class MotionWriter:
+    """
+    Writes trajectory.tum and velocity.csv as estimates become final; a context manager.
+
+    Parameters
+    ----------
+    folder
+        Existing results folder; both files are begun anew.
+
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Begin both files."""
+        self.count = 0
+        self._trajectory = (folder / TRAJECTORY_NAME).open('w', encoding='utf-8')
+        self._velocity = (folder / VELOCITY_NAME).open('w', encoding='utf-8')
+        self._velocity.write(VELOCITY_HEADER + '\n')
+        self._stretches: list[list[int]] = []
+        self._degenerate = False
+        self._last_ns = 0
+
+    def __enter__(self) -> MotionWriter:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close both files, whatever happened."""
+        self.close()
+
+    def write(self, estimates: Iterable[Estimate]) -> None:
+        """Append final estimates, in order; they are with the system when this returns."""
+        for estimate in estimates:
+            self._trajectory.write(tum_line(estimate.stamp_ns, estimate.pose) + '\n')
+            self._velocity.write(velocity_line(estimate) + '\n')
+            self._note_degenerate(estimate)
+            self.count += 1
+        self._trajectory.flush()
+        self._velocity.flush()
+
+    def _note_degenerate(self, estimate: Estimate) -> None:
+        """Extend the stretches in which some direction of motion was not observable."""
+        if self._degenerate:                # the time since such an estimate belongs to it
+            self._stretches[-1][1] = estimate.stamp_ns
+        elif estimate.degenerate:
+            self._stretches.append([estimate.stamp_ns, estimate.stamp_ns])
+        self._degenerate = estimate.degenerate
+
+    def facts(self) -> dict[str, Any]:
+        """Return poses, degenerate_s and degenerate_stretches (pairs of seconds)."""
+        return {'poses': self.count,
+                'degenerate_s': sum(b - a for a, b in self._stretches) * 1e-9,
+                'degenerate_stretches': [[a * 1e-9, b * 1e-9] for a, b in self._stretches]}
+
+    def close(self) -> None:
+        """Close both files."""
+        self._trajectory.close()
+        self._velocity.close()
+
+
+def velocity_line(estimate: Estimate) -> str:
+    """Return one line of velocity.csv: twist of base_link, its standard deviations, quality."""
+    sigmas = np.sqrt(np.diag(estimate.twist_covariance))
+    stamp = f'{estimate.stamp_ns // 10**9}.{estimate.stamp_ns % 10**9:09d}'
+    return ','.join([stamp, *(f'{v:.6f}' for v in (*estimate.twist, *sigmas)),
+                     f'{estimate.quality:.3f}'])
+
+
+def read_velocity(path: Path) -> tuple[NDArray[np.int64], Array]:
+    """
+    Read velocity.csv.
+
+    Returns
+    -------
+    stamps_ns : NDArray[np.int64]
+        (n,) nanoseconds.
+    values : Array
+        (n, 7) the columns vx, vy, wz, sigma_vx, sigma_vy, sigma_wz, quality.
+
+    Raises
+    ------
+    StriMappingError
+        If the file is missing or not such a table.
+
+    """
+    try:
+        header, *lines = path.read_text(encoding='utf-8').splitlines()
+        if header != VELOCITY_HEADER:
+            raise ValueError
+        rows = [line.split(',') for line in lines]
+        stamps = np.array([int(row[0].replace('.', '')) for row in rows], dtype=np.int64)
+        return stamps, np.array([row[1:] for row in rows], dtype=float).reshape(-1, 7)
+    except OSError as error:
+        raise StriMappingError(f'{path}: {error.strerror}') from None
+    except ValueError:
+        raise StriMappingError(f'{path}: want a table with the header {VELOCITY_HEADER}') from None
+
+
+def lost_scans(stamps_ns: ArrayLike) -> int:
+    """
+    Return how many scans are missing between the first and the last.
+
+    A gap of about k periods (their median) counts k - 1 lost scans.  Where stamps are late and
+    the next ones make up for it nothing was lost: a gap counts only by what is still open a few
+    scans later.
+
+    Parameters
+    ----------
+    stamps_ns
+        (n,) stamps of one scanner's scans, nanoseconds, increasing.
+
+    """
+    stamps = np.asarray(stamps_ns, dtype=np.int64)
+    if len(stamps) < 3:
+        return 0
+    period = float(np.median(np.diff(stamps)))
+    lost = 0
+    for i in np.flatnonzero(np.diff(stamps) > 1.5 * period):
+        later = (stamps[i + 1:i + 9] - stamps[i]) / period
+        lost += max(round(float(np.min(later - np.arange(1, len(later) + 1)))), 0)
+    return lost
+
+
+def scanner_facts(
+    vehicle: Vehicle, scanner: Scanner, stamps_ns: ArrayLike, counts: ScanCounts | None = None,
+) -> dict[str, Any]:
+    """
+    Return what the summary says of one scanner, an entry of its list `scanners`.
+
+    Parameters
+    ----------
+    vehicle
+        Gives a vertical scanner its number in the cloud, `point_source_id`.
+    scanner
+        The scanner.
+    stamps_ns
+        (n,) stamps of its scans.
+    counts
+        What was met on its topic.
+
+    """
+    met = counts or ScanCounts()
+    T = scanner.T_base_laser
+    verticals = [s.name for s in vehicle.verticals]
+    source = {'point_source_id': verticals.index(scanner.name) + 1} if (
+        scanner.name in verticals) else {}
+    return {
+        'name': scanner.name, 'role': scanner.role, 'topic': scanner.topic,
+        'frame': scanner.frame, **source,
+        'mount': {'xyz': _rounded(T[:3, 3]), 'rpy': _rounded(geometry.rpy_from_rotation(T[:3, :3]))},
+        'scans': met.read, 'lost_scans': lost_scans(stamps_ns), 'malformed_scans': met.malformed,
+        'backwards_scans': met.backwards, 'scans_without_return': met.without_returns}
+
+
+def _rounded(values: Array) -> list[float]:
+    return [float(v) for v in np.round(values, 9) + 0.0]    # no negative zeros
+
+
+def write_summary(folder: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Add facts to summary.json, with the figures that follow from them and the other files.
+
+    Parameters
+    ----------
+    folder
+        Results folder.
+    facts
+        JSON values by name; they replace facts of the same name written before.  Only `messages`
+        are appended to those there, and `scanners` replace those of the same name.
+
+    Returns
+    -------
+    dict
+        The whole summary as written; `warnings` are the messages and what the figures tell.
+
+    """
+    before = read_summary(folder)
+    summary: dict[str, Any] = {'version': __version__, **before, **facts}
+    summary['messages'] = [*before.get('messages', []), *facts.get('messages', [])]
+    by_name = {s['name']: s for s in [*before.get('scanners', []), *facts.get('scanners', [])]}
+    summary['scanners'] = list(by_name.values())
+    for key in ('lost_scans', 'malformed_scans', 'backwards_scans', 'scans_without_return'):
+        summary[key] = sum(s[key] for s in summary['scanners'])
+    summary.update(_figures(folder))
+    summary['warnings'] = [*summary['messages'], *_remarks(summary)]
+    part = folder / f'{SUMMARY_NAME}.{os.getpid()}'     # nodes may come to their end together
+    part.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
+    os.replace(part, folder / SUMMARY_NAME)
+    return summary
+
+
+def _remarks(summary: Mapping[str, Any]) -> list[str]:
+    """Return one line for each figure that a user should know of before trusting the rest."""
+    remarks = []
+    for scanner in summary['scanners']:
+        for key, what in (('lost_scans', 'scans are missing'),
+                          ('malformed_scans', 'malformed scans were left out'),
+                          ('backwards_scans', 'scans with a stamp running backwards were left out'),
+                          ('scans_without_return', 'scans hit nothing')):
+            if scanner[key]:
+                remarks.append(f'{scanner["name"]}: {scanner[key]} of '
+                               f'{scanner["scans"] + scanner[key]} {what}')
+    if summary.get('degenerate_s', 0.0) > 0.0:
+        remarks.append(f'for {summary["degenerate_s"]:.1f} s the surroundings did not tell the '
+                       'motion; it was carried on from before')
+    if summary.get('rays_without_pose', 0) > 0.05 * max(summary['points'], 1):
+        remarks.append(f'{summary["rays_without_pose"]} rays of the vertical scanners have no '
+                       'pose at their time and were left out')
+    return remarks
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """
+    Return summary.json; an empty one where there is none.
+
+    Raises
+    ------
+    StriMappingError
+        If it is not a JSON object.
+
+    """
+    path = folder / SUMMARY_NAME
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding='utf-8'))
+    except ValueError:
+        content = None
+    if not isinstance(content, dict):
+        raise StriMappingError(f'{path}: want a JSON object')
+    return content
+
+
+def _figures(folder: Path) -> dict[str, Any]:
+    """Return what trajectory, velocity and cloud say of the drive as a whole."""
+    figures: dict[str, Any] = {'points': count_points(folder / PLY_NAME)}
+    if (folder / TRAJECTORY_NAME).is_file():
+        path = read_tum(folder / TRAJECTORY_NAME)
+        figures.update(distance_m=round(path.distance, 3), duration_s=round(path.duration, 6))
+    if (folder / VELOCITY_NAME).is_file():
+        _, values = read_velocity(folder / VELOCITY_NAME)
+        if len(values):
+            speed = np.hypot(values[:, 0], values[:, 1])
+            sigma = np.hypot(values[:, 3], values[:, 4])
+            figures.update(mean_speed_mps=round(float(speed.mean()), 4),
+                           max_speed_mps=round(float(speed.max()), 4),
+                           median_sigma_mps=round(float(np.median(sigma)), 5))
+    return figures

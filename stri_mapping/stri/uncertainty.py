@@ -1,0 +1,213 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How sure the path is: information of the newest knots with everything older marginalised.
+
+The fit holds old knots fixed, which says nothing of their error.  Here the same pairs and
+priors are added up once each, in a window of knots from which the oldest is eliminated as the
+window moves on, so that the error of the whole way back to the first scan remains.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.stri.smoother import _add_prior, _chain, Keyframes, Pairs
+from stri_mapping.stri.spline import basis, pose_at
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+WINDOW = 16
+# A pair's residuals are not independent of one another nor of other pairs': so many count as
+# one.  Measured: see benchmarks, normalised errors of simulated drives.
+DILUTION = 60.0
+# What a vehicle does when nobody looks, standard deviations: m/s^2 and rad/s^2.
+JERK, ANGULAR_JERK = 6.0, 3.0
+ACCELERATION, ANGULAR_ACCELERATION = 1.5, 1.5
+
+
+class Uncertainty:
+    """
+    Covariances of the spline's newest part.
+
+    Parameters
+    ----------
+    spacing
+        Knot spacing in seconds.
+
+    """
+
+    def __init__(self, spacing: float) -> None:
+        """Start before the first knot."""
+        self.h = spacing
+        self.first = 0
+        self._information = np.zeros((0, 0))
+        self._covariance = np.zeros((0, 0))
+        self._jerk = np.array([JERK, JERK, ANGULAR_JERK]) ** -2.0 * spacing ** -6
+        self._acceleration = np.array(
+            [ACCELERATION, ACCELERATION, ANGULAR_ACCELERATION]) ** -2.0 * spacing ** -4
+
+    def extend(
+        self, knots: Array, last: int, pairs: Pairs, frames: Keyframes, newest: float,
+    ) -> None:
+        """
+        Add what came with the newest knots.
+
+        Parameters
+        ----------
+        knots
+            (k, 3) the fitted spline.
+        last
+            One beyond the newest fitted knot.
+        pairs, frames
+            The pairs in the fit; those with a keyframe at or after `newest` are added.
+        newest
+            Seconds.
+
+        """
+        size = 3 * (last - self.first)
+        old = len(self._information)
+        information = np.zeros((size, size))
+        information[:old, :old] = self._information
+        if old == 0:
+            weights = np.empty(4)
+            basis(0.0, weights)
+            # the first scan defines the frame
+            held = np.kron(np.outer(weights, weights), np.eye(3))
+            information[3:15, 3:15] += 1e8 * held
+        done = self.first + old // 3
+        unused = np.zeros(size)
+        zero = np.zeros_like(knots[:last])
+        _prior_from(zero, self.first, done, last, self._jerk, self._acceleration, information,
+                    unused)
+        n = pairs.count
+        _add(knots, self.h, self.first, pairs.ends[:n], pairs.z[:n], pairs.hessian[:n],
+             frames.time, frames.pose, newest, information)
+        information[np.diag_indices(size)] += 1e-9
+        drop = 3 * max(0, last - self.first - WINDOW)
+        if drop:
+            kept = np.linalg.solve(information[:drop, :drop], information[:drop, drop:])
+            information = information[drop:, drop:] - information[drop:, :drop] @ kept
+            self.first += drop // 3
+        self._information = 0.5 * (information + information.T)
+        self._covariance = np.linalg.inv(self._information)
+
+    def pose(self, t: float) -> Array:
+        """Return the covariance (3, 3) of the pose at a time in the window."""
+        weights = np.empty(4)
+        k = self._clamp(int(math.floor(t / self.h)))
+        basis(min(max(t / self.h - k, 0.0), 1.0), weights)
+        return self._spread(k, weights)
+
+    def velocity(self, t: float) -> Array:
+        """Return the covariance (3, 3) of the velocity at a time in the window."""
+        k = self._clamp(int(math.floor(t / self.h)))
+        u = min(max(t / self.h - k, 0.0), 1.0)
+        first, last = 0.5 * (1.0 - u) ** 2, 0.5 * u * u
+        middle = 1.0 - first - last
+        return self._spread(
+            k, np.array([-first, first - middle, middle - last, last]) / self.h)
+
+    def _clamp(self, k: int) -> int:
+        return min(max(k, self.first), self.first + len(self._covariance) // 3 - 4)
+
+    def _spread(self, k: int, weights: Array) -> Array:
+        at = 3 * (k - self.first)
+        jacobian = np.kron(weights, np.eye(3))
+        return np.asarray(
+            jacobian @ self._covariance[at:at + 12, at:at + 12] @ jacobian.T)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _prior_from(
+    knots: Array, first: int, done: int, last: int, jerk: Array, acceleration: Array,
+    information: Array, slope: Array,
+) -> None:
+    """Add the priors of the differences that reach the knots from `done` on."""
+    n = 3 * (last - first)
+    scratch = np.zeros((n, n))
+    _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, scratch, slope)
+    _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, scratch, slope)
+    if done > first:
+        before = np.zeros((n, n))
+        _add_prior(knots, first, done, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, before, slope)
+        _add_prior(knots, first, done, np.array([1.0, -2.0, 1.0]), acceleration, before, slope)
+        scratch -= before
+    information += scratch
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add(
+    knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, time: Array,
+    pose: Array, newest: float, information: Array,
+) -> None:
+    weights_a, weights_b, scratch = np.empty(4), np.empty(4), np.empty(3)
+    jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
+    turn = np.eye(3)
+    for p in range(len(ends)):
+        a, b = ends[p]
+        if max(time[a], time[b]) < newest:
+            continue
+        ka, kb = int(math.floor(time[a] / h)), int(math.floor(time[b] / h))
+        pose_a, pose_b = pose[a].copy(), pose[b].copy()
+        # a keyframe older than the window hangs rigidly on the window's oldest knot
+        if ka < first:
+            pose_a[:] = knots[first]
+            weights_a[:] = 0.0
+            weights_a[0] = 1.0
+            ka = first
+        else:
+            pose_at(knots, h, time[a], weights_a, scratch)
+        if kb < first:
+            pose_b[:] = knots[first]
+            weights_b[:] = 0.0
+            weights_b[0] = 1.0
+            kb = first
+        else:
+            pose_at(knots, h, time[b], weights_b, scratch)
+        delta = np.empty(3)
+        dx, dy = pose_a[0] - pose_b[0], pose_a[1] - pose_b[1]
+        cos, sin = math.cos(pose_b[2]), math.sin(pose_b[2])
+        delta[0], delta[1] = cos * dx + sin * dy, -sin * dx + cos * dy
+        delta[2] = pose_a[2] - pose_b[2]
+        _moved_information(hessian[p], pose[b], pose[a], pose_b, pose_a, turn)
+        m = _chain(ka - first, kb - first, weights_a, weights_b, pose_b, delta, jacobian, columns)
+        for i in range(m):
+            for j in range(m):
+                s = 0.0
+                for r in range(3):
+                    for c in range(3):
+                        s += jacobian[r, i] * turn[r, c] * jacobian[c, j]
+                information[columns[i], columns[j]] += s / DILUTION
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _moved_information(
+    hessian: Array, b: Array, a: Array, b_moved: Array, a_moved: Array, out: Array,
+) -> None:
+    """
+    Write the information about inv(b_moved) a_moved that hessian gives about inv(b) a.
+
+    b = b_moved * d and a = a_moved * e with d, e rigid: z = inv(d) * z_moved * e.
+    """
+    # dz = R(d)^-1 (dt_moved + dyaw J R(z_moved) t_e), dyaw = dyaw_moved
+    turn = b_moved[2] - b[2]
+    cos, sin = math.cos(turn), math.sin(turn)
+    dx, dy = a[0] - a_moved[0], a[1] - a_moved[1]
+    cb, sb = math.cos(b_moved[2]), math.sin(b_moved[2])
+    ex, ey = cb * dx + sb * dy, -sb * dx + cb * dy
+    G = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    G[0, 2] = -cos * ey - sin * ex
+    G[1, 2] = -sin * ey + cos * ex
+    for i in range(3):
+        for j in range(3):
+            s = 0.0
+            for r in range(3):
+                for c in range(3):
+                    s += G[r, i] * hessian[r, c] * G[c, j]
+            out[i, j] = s
