@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.push_broom import FacadeAligner
-from stri_mapping.results import (
-    CloudWriter, lost_scans, MotionWriter, RANGE_IMAGE_NAME, scanner_facts)
+from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts
 from stri_mapping.scan import Scan, ScanCounts
 from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.vehicle import Scanner, Vehicle

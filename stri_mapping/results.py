@@ -3,9 +3,9 @@
 """
 The results folder, the same for the offline command and the live graph.
 
-trajectory.tum and velocity.csv (`MotionWriter`), facade.ply and facade.laz (`CloudWriter`) grow
-while the drive goes on; summary.json (`write_summary`) and report.html
-(`stri_mapping.report.write_report`) are made of them at the end.  Several processes may each add
+trajectory.tum and velocity.csv (`MotionWriter`), facade.ply and facade.laz
+(`facade.cloud_files.CloudWriter`) grow while the drive goes on; summary.json (`write_summary`)
+and report.html (`report.write_report`) are made of them at the end.  Several processes may each add
 their facts to one summary in turn.
 """
 
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stri_mapping import __version__, geometry
 from stri_mapping.errors import StriMappingError, UsageError
-from stri_mapping.facade.cloud_files import CloudWriter, count_points, LAZ_NAME, PLY_NAME
+from stri_mapping.facade.cloud_files import count_points, LAZ_NAME, PLY_NAME
 from stri_mapping.scan import ScanCounts
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.trajectory import read_tum, tum_line
@@ -220,7 +220,8 @@ def scanner_facts(
     return {
         'name': scanner.name, 'role': scanner.role, 'topic': scanner.topic,
         'frame': scanner.frame, **source,
-        'mount': {'xyz': _rounded(T[:3, 3]), 'rpy': _rounded(geometry.rpy_from_rotation(T[:3, :3]))},
+        'mount': {'xyz': _rounded(T[:3, 3]),
+                  'rpy': _rounded(geometry.rpy_from_rotation(T[:3, :3]))},
         'scans': met.read, 'lost_scans': lost_scans(stamps_ns), 'malformed_scans': met.malformed,
         'backwards_scans': met.backwards, 'scans_without_return': met.without_returns}
 
@@ -268,7 +269,7 @@ def _remarks(summary: Mapping[str, Any]) -> list[str]:
     for scanner in summary['scanners']:
         for key, what in (('lost_scans', 'scans are missing'),
                           ('malformed_scans', 'malformed scans were left out'),
-                          ('backwards_scans', 'scans with a stamp running backwards were left out'),
+                          ('backwards_scans', 'scans whose stamp ran backwards were left out'),
                           ('scans_without_return', 'scans hit nothing')):
             if scanner[key]:
                 remarks.append(f'{scanner["name"]}: {scanner[key]} of '

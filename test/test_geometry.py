@@ -82,3 +82,11 @@ def test_wrapped_angles_point_the_same_way(angle):
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 1e-3))
+def test_rotations_survive_the_quaternion(quat):
+    rotation = Rotation.from_quat(quat).as_matrix()
+    back = geometry.quat_from_rotation(rotation)
+    assert back[3] >= 0.0
+    np.testing.assert_allclose(geometry.rotation_from_quat(back), rotation, atol=1e-12)

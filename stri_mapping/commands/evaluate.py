@@ -98,7 +98,12 @@ def _metrics(
     estimate: Trajectory, args: argparse.Namespace, mount: NDArray[np.float64],
 ) -> list[Metric]:
     from stri_mapping.metrics import (
-        path_metrics, read_relations, relation_metrics, speed_metrics, twist_metrics)
+        path_metrics,
+        read_relations,
+        relation_metrics,
+        speed_metrics,
+        twist_metrics,
+    )
     from stri_mapping.results import read_velocity, VELOCITY_NAME
 
     if args.truth.suffix == '.csv':

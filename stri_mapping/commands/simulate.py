@@ -39,6 +39,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate and write; return the exit code."""
+    from stri_mapping.vehicle import load_vehicle
     try:
         from stri_mapping.simulation import drive, lms, scenes
     except ImportError as error:
@@ -63,7 +64,6 @@ def _record(virtual: Drive, output: Path) -> None:
     from rich.progress import Progress
 
     from stri_mapping.simulation.record import record
-    from stri_mapping.vehicle import load_vehicle
     began, duration = time.perf_counter(), virtual.scene.duration
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:

@@ -17,8 +17,13 @@ from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import count_points, PLY_NAME, read_ply
 from stri_mapping.facade.push_broom import at_constant_speed
 from stri_mapping.results import (
-    EVALUATION_NAME, RANGE_IMAGE_NAME, read_summary, read_velocity, TRAJECTORY_NAME,
-    VELOCITY_NAME)
+    EVALUATION_NAME,
+    RANGE_IMAGE_NAME,
+    read_summary,
+    read_velocity,
+    TRAJECTORY_NAME,
+    VELOCITY_NAME,
+)
 from stri_mapping.trajectory import read_tum, Trajectory
 
 Array = NDArray[np.float64]
@@ -88,7 +93,7 @@ def read_folder(folder: Path) -> ReportData:
     origin = int(path.stamps_ns[0]) if path is not None else 0
     return ReportData(
         read_summary(folder), _evaluation(folder / EVALUATION_NAME), path,
-        (stamps - origin) * 1e-9, velocity, _range_image(folder / RANGE_IMAGE_NAME, origin),
+        1e-9 * (stamps - origin).astype(float), velocity, _range_image(folder / RANGE_IMAGE_NAME, origin),
         _cloud(folder / PLY_NAME, path))
 
 

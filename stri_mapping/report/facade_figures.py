@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.report.data import Cloud
-from stri_mapping.report.facade_views import (
-    blended, Grid, nearest_depth, unroll, Unrolled)
+from stri_mapping.report.facade_views import blended, Grid, nearest_depth, unroll, Unrolled
 from stri_mapping.report.figures import colour_bar, INK, style, WIDTH
 from stri_mapping.trajectory import constant_speed, Trajectory
 

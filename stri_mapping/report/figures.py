@@ -40,7 +40,7 @@ def colour_bar(figure: Figure, axes: Axes | list[Axes], shown: AxesImage | LineC
                label: str) -> None:
     """Add a slim colour bar beside axes."""
     bar = figure.colorbar(shown, ax=axes, label=label, fraction=0.025, pad=0.015, aspect=25)
-    bar.outline.set_visible(False)               # type: ignore[operator]
+    bar.outline.set_visible(False)
 
 
 def path_figure(data: ReportData) -> Figure:
@@ -58,7 +58,7 @@ def path_figure(data: ReportData) -> Figure:
     if data.cloud is not None:
         _draw_density(axes, data.cloud.xyz, low, high)
     speed = _speed_at(data, shown)
-    line = LineCollection(np.stack([xy[:-1], xy[1:]], axis=1), cmap='plasma', linewidths=2.5,
+    line = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap='plasma', linewidths=2.5,
                           array=0.5 * (speed[1:] + speed[:-1]), capstyle='round', zorder=3)
     axes.add_collection(line)
     axes.plot(*xy[0], 'o', color='white', markeredgecolor=INK, markersize=6, zorder=4)
@@ -86,7 +86,8 @@ def _speed_at(data: ReportData, poses: NDArray[np.intp]) -> Array:
     if len(data.seconds) < 2:
         return np.zeros(len(poses))
     moments = (data.path.stamps_ns[poses] - data.path.stamps_ns[0]) * 1e-9
-    return np.interp(moments, data.seconds, np.hypot(data.velocity[:, 0], data.velocity[:, 1]))
+    speed = np.hypot(data.velocity[:, 0], data.velocity[:, 1])
+    return np.asarray(np.interp(moments, data.seconds, speed))
 
 
 def velocity_figure(data: ReportData) -> Figure:

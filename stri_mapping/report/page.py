@@ -22,7 +22,7 @@ from stri_mapping.report.figures import path_figure, range_image_figure, velocit
 from stri_mapping.results import REPORT_NAME
 
 # Fixed, so that the same folder gives the same bytes.
-LOOK = {'font.size': 9, 'font.family': 'DejaVu Sans', 'svg.hashsalt': 'stri_mapping',
+LOOK: Any = {'font.size': 9, 'font.family': 'DejaVu Sans', 'svg.hashsalt': 'stri_mapping',
         'text.color': '#24292f', 'axes.labelcolor': '#24292f', 'legend.fontsize': 8.5}
 IMAGE_DPI = 150
 
