@@ -5,8 +5,8 @@ The results folder, the same for the offline command and the live graph.
 
 trajectory.tum and velocity.csv (`MotionWriter`), facade.ply and facade.laz
 (`facade.cloud_files.CloudWriter`) grow while the drive goes on; summary.json (`write_summary`)
-and report.html (`report.write_report`) are made of them at the end.  Several processes may each add
-their facts to one summary in turn.
+and report.html (`report.write_report`) are made of them at the end.  Several processes may each
+add their facts to one summary in turn.
 """
 
 from __future__ import annotations
@@ -274,7 +274,7 @@ def _remarks(summary: Mapping[str, Any]) -> list[str]:
             if scanner[key]:
                 remarks.append(f'{scanner["name"]}: {scanner[key]} of '
                                f'{scanner["scans"] + scanner[key]} {what}')
-    if summary.get('degenerate_s', 0.0) > 0.0:
+    if summary.get('degenerate_s', 0.0) >= 0.05:
         remarks.append(f'for {summary["degenerate_s"]:.1f} s the surroundings did not tell the '
                        'motion; it was carried on from before')
     if summary.get('rays_without_pose', 0) > 0.05 * max(summary['points'], 1):

@@ -29,7 +29,7 @@ from stri_mapping.trajectory import read_tum, Trajectory
 Array = NDArray[np.float64]
 
 # Points drawn at most: a denser cloud is thinned evenly in time.
-MAX_POINTS = 3_000_000
+MAX_POINTS = 2_000_000
 # A drive whose ends are nearer than this share of its length is not straight enough to be
 # compared with a straight drive at constant speed.
 STRAIGHT = 0.7
@@ -91,10 +91,10 @@ def read_folder(folder: Path) -> ReportData:
     if (folder / VELOCITY_NAME).is_file():
         stamps, velocity = read_velocity(folder / VELOCITY_NAME)
     origin = int(path.stamps_ns[0]) if path is not None else 0
+    seconds = 1e-9 * (stamps - origin).astype(float)
     return ReportData(
-        read_summary(folder), _evaluation(folder / EVALUATION_NAME), path,
-        1e-9 * (stamps - origin).astype(float), velocity, _range_image(folder / RANGE_IMAGE_NAME, origin),
-        _cloud(folder / PLY_NAME, path))
+        read_summary(folder), _evaluation(folder / EVALUATION_NAME), path, seconds, velocity,
+        _range_image(folder / RANGE_IMAGE_NAME, origin), _cloud(folder / PLY_NAME, path))
 
 
 def _evaluation(path: Path) -> dict[str, Any]:

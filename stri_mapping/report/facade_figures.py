@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from stri_mapping.report.data import Cloud
 from stri_mapping.report.facade_views import blended, Grid, nearest_depth, unroll, Unrolled
-from stri_mapping.report.figures import colour_bar, INK, style, WIDTH
+from stri_mapping.report.figures import colour_bar, GROUND, INK, style, WIDTH
 from stri_mapping.trajectory import constant_speed, Trajectory
 
 Array = NDArray[np.float64]
@@ -32,30 +34,31 @@ REACH = 0.13
 OUTLIERS = 0.3
 
 
+@dataclass(frozen=True, eq=False)
 class FacadeView:
     """
     One side of the street, unrolled, with the scales that its pictures share.
 
-    Parameters
+    Attributes
     ----------
     points
         The points of that side.
     left
         Whether it is the left side.
+    heights, depths
+        What the pictures show, from and to, metres.
 
     """
 
-    def __init__(self, points: Unrolled, left: bool) -> None:
-        """Find the extents."""
-        self.depth = points.left if left else -points.left
-        self.points = points
-        self.left = left
-        low, high = np.percentile(points.up, [OUTLIERS, 100.0 - OUTLIERS])
-        self.heights: Span = (float(low) - 0.3, float(high) + 0.3)
-        # the ground is at every depth; the walls tell the scale
-        walls = self.depth[points.up > low + 1.0]
-        near, far = np.percentile(walls if len(walls) else self.depth, [2.0, 98.0])
-        self.depths: Span = (float(near) - 0.2, float(far) + 0.2)
+    points: Unrolled
+    left: bool
+    heights: Span
+    depths: Span
+
+    @property
+    def depth(self) -> Array:
+        """Distance (n,) of the points from the path, metres."""
+        return self.points.left if self.left else -self.points.left
 
     def draw_elevation(self, axes: Axes, along: Span, colour: str) -> AxesImage:
         """Draw the facade as seen from the street, nearest point in front."""
@@ -76,8 +79,7 @@ class FacadeView:
 
     def draw_plan(self, axes: Axes, along: Span) -> None:
         """Draw where points lie above each other, from above, without the ground."""
-        low = self.heights[0] + 1.0
-        walls = (self.points.up > low) & (along[0] <= self.points.along) & (
+        walls = (self.points.up > self.heights[0] + GROUND) & (along[0] <= self.points.along) & (
             self.points.along < along[1])
         cell = (along[1] - along[0]) / 600.0
         depths = (self.depths[0] - 1.0, self.depths[1] + 1.0)
@@ -94,10 +96,20 @@ def facade_views(cloud: Cloud, path: Trajectory) -> list[FacadeView]:
     """Return the sides of the street that hold at least a tenth of the points, fuller first."""
     points = unroll(cloud.xyz, cloud.intensity, path)
     left = points.left > 0.0
-    views = [FacadeView(points.only(mask), bool(side))
-             for side, mask in ((True, left), (False, ~left))
+    views = [_facade_view(points.only(mask), side) for side, mask in ((True, left), (False, ~left))
              if np.count_nonzero(mask) > 0.1 * len(left)]
     return sorted(views, key=lambda view: -len(view.depth))
+
+
+def _facade_view(points: Unrolled, left: bool) -> FacadeView:
+    """Return the view of one side that shows nearly all of its points."""
+    low, high = np.percentile(points.up, [OUTLIERS, 100.0 - OUTLIERS])
+    depth = points.left if left else -points.left
+    # the ground is at every depth; the walls tell the scale
+    walls = depth[points.up > low + GROUND]
+    near, far = np.percentile(walls if len(walls) else depth, [2.0, 98.0])
+    return FacadeView(points, left, (float(low) - 0.3, float(high) + 0.3),
+                      (float(near) - 0.2, float(far) + 0.2))
 
 
 def elevation_figure(view: FacadeView, colour: str = 'depth') -> Figure:
@@ -119,22 +131,17 @@ def elevation_figure(view: FacadeView, colour: str = 'depth') -> Figure:
     return figure
 
 
-def comparison_figure(cloud: Cloud, path: Trajectory, left: bool) -> Figure:
+def comparison_figure(cloud: Cloud, path: Trajectory, after: FacadeView) -> Figure:
     """Draw a piece of the street at constant mean speed beside the same as aligned."""
-    assert cloud.before is not None
     straight = constant_speed(path)
-    sides = []
-    for xyz, poses in ((cloud.before, straight), (cloud.xyz, path)):
-        points = unroll(xyz, cloud.intensity, poses)
-        sides.append(FacadeView(points.only((points.left > 0.0) == left), left))
     along = _worst_piece(path, straight)
-    sides[0].depths, sides[0].heights = sides[1].depths, sides[1].heights
-    spans = [sides[1].heights[1] - sides[1].heights[0], sides[1].depths[1] - sides[1].depths[0] + 2]
+    before = replace(after, points=_piece_before(cloud, straight, along, after.left))
+    spans = [after.heights[1] - after.heights[0], after.depths[1] - after.depths[0] + 2.0]
     height = 0.5 * (WIDTH - 1.8) * sum(spans) / PIECE + 1.0
     figure = Figure(figsize=(WIDTH, min(height, 9.0)), layout='constrained')
     grid = figure.subplots(2, 2, sharex='col', height_ratios=spans)
     titles = ('before: straight at the mean speed', 'after: aligned')
-    for column, (view, title) in enumerate(zip(sides, titles)):
+    for column, (view, title) in enumerate(zip((before, after), titles)):
         shown = view.draw_elevation(grid[0, column], along, 'depth')
         view.draw_plan(grid[1, column], along)
         grid[0, column].set_title(title, loc='left', fontsize='medium', color=INK)
@@ -144,6 +151,16 @@ def comparison_figure(cloud: Cloud, path: Trajectory, left: bool) -> Figure:
         grid[0, column].grid(False)
     colour_bar(figure, list(grid[0]), shown, 'depth in m')
     return figure
+
+
+def _piece_before(cloud: Cloud, straight: Trajectory, along: Span, left: bool) -> Unrolled:
+    """Return the points of one side and piece of the street as they lie before alignment."""
+    assert cloud.before is not None
+    x, y, yaw = straight.poses[0]
+    ahead = (cloud.before[:, :2] - (x, y)) @ (np.cos(yaw), np.sin(yaw))
+    near = (along[0] - 1.0 < ahead) & (ahead < along[1] + 1.0)
+    points = unroll(cloud.before[near], cloud.intensity[near], straight)
+    return points.only((points.left > 0.0) == left)
 
 
 def _worst_piece(path: Trajectory, straight: Trajectory) -> Span:

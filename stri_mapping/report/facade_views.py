@@ -143,7 +143,7 @@ def blended(x: Array, y: Array, value: Array, grid: Grid, reach: float) -> Array
     smooth = 0.5 * reach / grid.cell
     weight, mean = (ndimage.gaussian_filter(sums.astype(float), smooth) for sums in (count, total))
     seen = _closed(count > 0, _disc(reach / grid.cell))
-    return np.divide(mean, weight, out=np.full(grid.shape, np.nan), where=seen & (weight > 0.0))
+    return np.where(seen, mean / np.maximum(weight, 1e-12), np.nan)
 
 
 def _disc(radius: float) -> NDArray[np.bool_]:

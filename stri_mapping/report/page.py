@@ -117,7 +117,7 @@ def _facades(data: ReportData) -> Iterable[str]:
             'Before and after alignment', 'The piece of the street that suffers most when a '
             'straight drive at the mean speed is assumed, and the same scan lines put where '
             'the vehicle was: elevation above, plan below.',
-            [('before and after', comparison_figure(data.cloud, data.path, views[0].left))])
+            [('before and after', comparison_figure(data.cloud, data.path, views[0]))])
 
 
 def _quality(data: ReportData) -> str:

@@ -100,7 +100,7 @@ class StriEstimator:
             `take_refined` makes up later.
 
         """
-        labels, _ = self._segmenter.segment(scan)
+        labels = self._segmenter.segment(scan)
         self.range_image.append(scan, labels)
         self.range_image_log.append(scan, labels)
         self._pending.append(scan.stamp_ns)
@@ -110,6 +110,7 @@ class StriEstimator:
                 return None
             self._start()
         else:
+            self._path.trust.add(self._segmenter.surfaces, self._segmenter.parents)
             self._take(scan, labels)
         return self._estimate(scan.stamp_ns)
 
@@ -149,7 +150,8 @@ class StriEstimator:
         twist, _ = propose([self._profile(scan) for scan in scans], self._mount)
         self._origin_ns = scans[0].stamp_ns
         step = float(abs(scans[0].angles[1] - scans[0].angles[0]))
-        self._path = path = JointPath(self._spacing(), step, self.config.joint)
+        self._path = path = JointPath(
+            self._spacing(), step, _rotation(-self._mount[2])[:2, 0], self.config.joint)
         kept, self._starting = self._starting, []
         begun = False
         for scan, labels in kept:

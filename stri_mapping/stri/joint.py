@@ -19,12 +19,11 @@ from stri_mapping import geometry
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import Keyframes, Pairs, solve
+from stri_mapping.stri.trust import Trust
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
-
-LABELS = 512
 
 
 @dataclass(frozen=True)
@@ -84,12 +83,14 @@ class JointPath:
         Knot spacing in seconds.
     angle_step
         Radians between rays of a scan.
+    forward
+        (2,) direction of travel in the scanner frame.
     config
         Settings.
 
     """
 
-    def __init__(self, spacing: float, angle_step: float, config: JointConfig) -> None:
+    def __init__(self, spacing: float, angle_step: float, forward: Array, config: JointConfig) -> None:
         """Start with no scan."""
         self.h = spacing
         self.config = config
@@ -99,8 +100,8 @@ class JointPath:
         self.agreement = 1.0
         self.uncertainty = Uncertainty(spacing)
         self.error = RangeError()
-        self.moving = np.zeros(LABELS, np.bool_)
-        self.votes = np.zeros((LABELS, 2))
+        self.trust = Trust()
+        self._forward = forward
         self._angle_step = angle_step
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
         self._frames = Keyframes(SLOTS, POINTS)
@@ -245,6 +246,7 @@ class JointPath:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         newest = min((float(self._frames.time[s]) for s in new), default=np.inf)
         for attempt in range(3):
+            self.trust.votes[:] = 0.0
             self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations)
             stale = [s for s in self._order
                      if s in self._sources and self._frames.time[s] >= first * self.h
@@ -255,6 +257,7 @@ class JointPath:
                 self._build(slot)
             ends = self._pairs.ends[:self._pairs.count]
             self._pairs.passes[:self._pairs.count][np.isin(ends, stale).any(axis=1)] = 0
+        self.trust.update()
         self.uncertainty.extend(self.knots, last, self._pairs, self._frames, newest)
 
     def _solve(
@@ -265,8 +268,8 @@ class JointPath:
         _, self.agreement, _ = solve(
             self.knots, self.h, first, last, first == 0, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
-            newest, iterations, self._jerk, self._acceleration, self.error.value, self.moving,
-            self.votes)
+            newest, iterations, self._jerk, self._acceleration, self.error.value,
+            self.trust.weight, self._forward, self.trust.votes)
 
     def _stale(self, slot: int) -> bool:
         now = np.empty(3)

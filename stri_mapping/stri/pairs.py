@@ -16,9 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import (
-    bearing_bin, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y,
-)
+from stri_mapping.stri.keyframe import bearing_bin, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y
 
 Array = NDArray[np.float64]
 
@@ -39,7 +37,7 @@ def relative(a: Array, b: Array, z: Array) -> None:
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def linearise(
     a: Array, count_a: int, b: Array, count_b: int, bins_b: NDArray[np.int32], z: Array,
-    scale: float, first: int, stride: int, pull: float, moving: NDArray[np.bool_],
+    scale: float, first: int, stride: int, pull: float, trust: Array, forward: Array,
     hessian: Array, gradient: Array, votes: Array,
 ) -> tuple[int, float]:
     """
@@ -59,12 +57,15 @@ def linearise(
         Every stride-th surfel of a is used, beginning with first.
     pull
         1/m, of slanted footprints, by which surfels are corrected, see `range_error`.
-    moving
-        (labels,) surfaces to leave out, by label modulo its length.
+    trust
+        (labels,) weight of each surface, by label modulo its length.
+    forward
+        (2,) direction in the scanner frame in which the vehicle moves; zero: do not vote.
     hessian, gradient
         (3, 3) and (3,) written.
     votes
-        (labels, 2) accepted weight and number of residuals, added up by a's label.
+        (labels, 2) accepted and whole weight of the surfels that see motion forward, added up
+        by a's label.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def linearise(
     count, total = 0, 0.0
     reach = max(TANGENT, TANGENT_PER_SCALE * scale)
     for r in range(first, count_a, stride):
-        label = int(a[r, S_LABEL]) % len(moving)
+        label = int(a[r, S_LABEL]) % len(trust)
         shift = pull * a[r, PULL]
         ax, ay = a[r, X] - shift * a[r, NX], a[r, Y] - shift * a[r, NY]
         px, py = cos * ax - sin * ay, sin * ax + cos * ay
@@ -91,6 +92,8 @@ def linearise(
             continue
         nx, ny = b[k, NX], b[k, NY]
         ex, ey = x - b[k, X], y - b[k, Y]
+        sees = (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2
+        votes[label, 1] += sees
         if abs(-ny * ex + nx * ey) > reach:
             continue
         e = nx * ex + ny * ey + pull * b[k, PULL]
@@ -100,9 +103,9 @@ def linearise(
             w = 0.0
         count += 1
         total += w
-        votes[label, 0] += w
-        votes[label, 1] += 1.0
-        if w == 0.0 or moving[label]:
+        votes[label, 0] += w * sees
+        w *= min(trust[label], trust[int(b[k, S_LABEL]) % len(trust)])
+        if w == 0.0:
             continue
         w /= SIGMA * SIGMA
         j2 = -nx * py + ny * px

@@ -1,7 +1,7 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Step 2 of the paper: surfaces in space and time, and the edges where one hides another.
+Step 2 of the paper: surfaces in space and time.
 
 A scan is cut where neighbouring rays do not continue one another.  Along a flat face 1/r is
 linear in (cos, sin) of the bearing, so a face seen at grazing incidence continues although its
@@ -10,8 +10,6 @@ at about the same range as one of the scan before is the same surface, a moment 
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -29,28 +27,6 @@ STEP, STEP_PER_RANGE = 0.06, 0.01
 MIN_RAYS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
-    """
-    Occluding edges of one scan, each the end of the nearer surface at a jump in depth.
-
-    Attributes
-    ----------
-    points
-        (n, 2) in the scanner frame in metres, half a ray beyond the last ray on the surface:
-        the edge lies between that ray and the next one, and the middle has no bias.
-    times
-        (n,) seconds since the scan's stamp.
-    sides
-        (n,) +1 where the surface ends towards growing bearing, -1 where it begins.
-
-    """
-
-    points: Array
-    times: Array
-    sides: NDArray[np.int8]
-
-
 class Segmenter:
     """Cuts scan after scan into surfaces that keep their number while they are in view."""
 
@@ -58,11 +34,12 @@ class Segmenter:
         """Start with no surface known."""
         self._ranges = np.zeros(0)
         self._labels = np.zeros(0, dtype=np.int32)
-        self._surfaces = 0
+        self.surfaces = 0                              # numbers given so far
+        self.parents = np.zeros(0, dtype=np.int32)     # of the newest scan's new surfaces
 
-    def segment(self, scan: Scan) -> tuple[Labels, Edges]:
+    def segment(self, scan: Scan) -> Labels:
         """
-        Cut the next scan into surfaces and find its occluding edges.
+        Cut the next scan into surfaces.
 
         Parameters
         ----------
@@ -71,26 +48,25 @@ class Segmenter:
 
         Returns
         -------
-        labels : Labels
-            (n,) number of the surface each ray met, `UNLABELLED` for rays on none.
-        edges : Edges
-            The occluding edges of surfaces with at least `MIN_RAYS` rays.
+        Labels
+            (n,) number of the surface each ray met, `UNLABELLED` for rays on none.  What splits
+            off a surface gets a number of its own; `parent` tells which surface it came from.
 
         """
-        no_return = np.where(np.isposinf(scan.ranges), np.inf, np.nan)
-        ranges = np.where(scan.valid, scan.ranges, no_return)
+        ranges = np.where(scan.valid, scan.ranges, np.nan)
         pieces = np.empty(len(scan), dtype=np.int32)
-        found = np.empty((2 * len(scan), 4))
-        edges = found[:_segment(ranges, scan.angles, scan.times, pieces, found)]
+        _segment(ranges, scan.angles, pieces)
         if len(self._ranges) != len(ranges):
             self._ranges = np.full(len(ranges), np.nan)
             self._labels = np.full(len(ranges), UNLABELLED, dtype=np.int32)
         labels = np.empty(len(scan), dtype=np.int32)
-        self._surfaces = _follow(ranges, pieces, self._ranges, self._labels, self._surfaces,
-                                 labels)
+        parents = np.full(len(scan), UNLABELLED, dtype=np.int32)
+        known = self.surfaces
+        self.surfaces = _follow(ranges, pieces, self._ranges, self._labels, known, labels,
+                                parents)
+        self.parents = parents[:self.surfaces - known]
         self._ranges, self._labels = ranges, labels
-        points = edges[:, :1] * np.column_stack([np.cos(edges[:, 1]), np.sin(edges[:, 1])])
-        return labels, Edges(points, edges[:, 2].copy(), edges[:, 3].astype(np.int8))
+        return labels
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -107,24 +83,9 @@ def _continues(ranges: Array, cos2: float, j: int, step: int, end: int) -> bool:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _edge(ranges: Array, angles: Array, times: Array, j: int, side: int, rays: int) -> Array:
-    """Return (range, bearing, time, side) half a ray beyond ray j, along its surface."""
-    half = 0.5 * side * (angles[1] - angles[0])
-    back = j - side * min(3, rays - 1)
-    slope = (ranges[j] - ranges[back]) / abs(j - back)
-    limit = 0.05 * ranges[j]
-    out = np.empty(4)
-    out[0] = ranges[j] + 0.5 * min(max(slope, -limit), limit)
-    out[1] = angles[j] + half
-    out[2] = times[j] + 0.5 * side * (times[1] - times[0])
-    out[3] = side
-    return out
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _segment(ranges: Array, angles: Array, times: Array, labels: Labels, found: Array) -> int:
+def _segment(ranges: Array, angles: Array, labels: Labels) -> None:
     n = len(ranges)
-    label, count, start = 0, 0, 0
+    label, start = 0, 0
     labels[:] = UNLABELLED
     cos2 = 2.0 * np.cos(angles[1] - angles[0]) if n > 1 else 2.0
     for j in range(n):
@@ -143,23 +104,16 @@ def _segment(ranges: Array, angles: Array, times: Array, labels: Labels, found: 
         if rays >= MIN_RAYS:
             labels[start:j + 1] = label
             label += 1
-            if start > 0 and ranges[start - 1] > ranges[start]:
-                found[count] = _edge(ranges, angles, times, start, -1, rays)
-                count += 1
-            if j + 1 < n and ranges[j + 1] > ranges[j]:
-                found[count] = _edge(ranges, angles, times, j, 1, rays)
-                count += 1
         start = j + 1
-    return count
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _follow(
     ranges: Array, pieces: Labels, ranges_before: Array, labels_before: Labels, surfaces: int,
-    labels: Labels,
+    labels: Labels, parents: Labels,
 ) -> int:
     """Number the pieces of a scan after the surfaces they continue; return how many there are."""
-    n = len(ranges)
+    n, known = len(ranges), surfaces
     labels[:] = UNLABELLED
     start = 0
     while start < n:
@@ -167,17 +121,20 @@ def _follow(
         while end < n and pieces[end] == pieces[start]:
             end += 1
         if pieces[start] != UNLABELLED:
-            best, most = surfaces, 0
-            votes = 0
+            best, most, votes, longest, parent = surfaces, 0, 0, 0, np.int32(UNLABELLED)
             for j in range(start, end):
                 if (labels_before[j] == UNLABELLED
                         or abs(ranges[j] - ranges_before[j]) > 3.0 * STEP + 0.05 * ranges[j]):
                     continue
                 votes = votes + 1 if labels_before[j] == labels_before[j - 1] else 1
+                if votes > longest:
+                    parent, longest = labels_before[j], votes
                 if votes > most and not _taken(labels, labels_before[j]):
                     best, most = labels_before[j], votes
             labels[start:end] = best
-            surfaces += best == surfaces
+            if best == surfaces:
+                parents[surfaces - known] = parent if longest > 0 else UNLABELLED
+                surfaces += 1
         start = end
     return surfaces
 

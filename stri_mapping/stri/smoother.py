@@ -116,7 +116,7 @@ def solve(
     knots: Array, h: float, first: int, last: int, anchored: bool, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
-    jerk: Array, acceleration: Array, pull: float, moving: Mask, votes: Array,
+    jerk: Array, acceleration: Array, pull: float, trust: Array, forward: Array, votes: Array,
 ) -> tuple[Array, float, int]:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -137,8 +137,8 @@ def solve(
         Pairs with a keyframe at or after this time anneal by `scales`.
     jerk, acceleration
         (3,) prior information of third and second differences of the coefficients.
-    pull, moving, votes
-        See `pairs.linearise`.
+    pull, trust, forward, votes
+        See `pairs.linearise`; neighbours in time among the newest pairs vote.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def solve(
         scale, final = scales[min(i, len(scales) - 1)], scales[-1]
         agreement = _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
-            bins, scale, final, newest, pull, moving, votes, information, slope, agreement)
+            bins, scale, final, newest, pull, trust, forward, votes, information, slope, agreement)
         _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, information, slope)
         _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, information,
                    slope)
@@ -182,12 +182,13 @@ def _add_pairs(
     knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, gradient: Array,
     passes: Index, time: Array, pose: Array, surfels: Array, counts: Index,
     bins: NDArray[np.int32], scale: float, final: float, newest: float, pull: float,
-    moving: Mask, votes: Array, information: Array, slope: Array, agreement: float,
+    trust: Array, forward: Array, votes: Array, information: Array, slope: Array, agreement: float,
 ) -> float:
     weights_a, weights_b = np.empty(4), np.empty(4)
     now, shift = np.empty(3), np.empty(3)
     jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
     good, fresh = 0.0, 0
+    still = np.zeros(2)
     for p in range(len(ends)):
         a, b = ends[p]
         ka, kb = int(math.floor(time[a] / h)), int(math.floor(time[b] / h))
@@ -205,7 +206,8 @@ def _add_pairs(
             stride = max(1, counts[a] // RESIDUALS)
             _, share = linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
-                scale if new else final, (a + b) % stride, stride, pull, moving,
+                scale if new else final, (a + b) % stride, stride, pull, trust,
+                forward if new and abs(time[a] - time[b]) < 1.5 * h else still,
                 hessian[p], gradient[p], votes)
             z[p] = now
             passes[p] += 1
