@@ -179,17 +179,23 @@ def read_ply(path: Path, every: int = 1) -> Iterator[NDArray[np.void]]:
         If the file is not such a cloud.
 
     """
-    try:
-        rows = PlyData.read(path, mmap='r')['vertex'].data
-        if rows.dtype.names != VERTEX.names:
-            raise KeyError(f'its fields are {", ".join(rows.dtype.names)}')
-    except (OSError, PlyParseError, KeyError, ValueError) as error:
-        raise StriMappingError(f'{path}: not a cloud of stri_mapping: {error}') from None
+    rows = _vertices(path)
     step = CHUNK * every
     for first in range(0, len(rows), step):
         yield np.array(rows[first:first + step:every])
 
 
 def count_points(path: Path) -> int:
-    """Return how many points a PLY file states; 0 where there is no file."""
-    return len(PlyData.read(path, mmap='r')['vertex'].data) if path.is_file() else 0
+    """Return how many points a facade.ply holds; 0 where there is no file."""
+    return len(_vertices(path)) if path.is_file() else 0
+
+
+def _vertices(path: Path) -> NDArray[np.void]:
+    """Return the points of a facade.ply as records, mapped into memory."""
+    try:
+        rows: NDArray[np.void] = PlyData.read(path, mmap='r')['vertex'].data
+        if rows.dtype.names != VERTEX.names:
+            raise KeyError(f'fields {rows.dtype.names}, want {VERTEX.names}')
+        return rows
+    except (OSError, PlyParseError, KeyError, ValueError) as error:
+        raise StriMappingError(f'{path}: not a cloud of stri_mapping: {error}') from None

@@ -54,7 +54,7 @@ def _page(data: ReportData) -> str:
     source = Path(str(data.summary.get('source', ''))).name
     title = f'Street map of {source}' if source else 'Street map'
     parts = [f'<h1>{escape(title)}</h1>', _cards(data.summary), _warnings(data.summary),
-             *_motion(data), *_facades(data), _quality(data), _footer(data.summary)]
+             _path(data), *_facades(data), *_motion(data), _quality(data), _footer(data.summary)]
     return PAGE.replace('$TITLE', escape(title)).replace('$BODY', '\n'.join(filter(None, parts)))
 
 
@@ -65,7 +65,7 @@ def _cards(summary: Mapping[str, Any]) -> str:
         ('mean speed', 'mean_speed_mps', '{:.2f} m/s'),
         ('top speed', 'max_speed_mps', '{:.2f} m/s'), ('facade points', 'points', '{:,}'),
         ('times real time', 'real_time_factor', '{:.1f}'),
-        ('estimator per scan', 'ms_per_scan', '{:.2f} ms'),
+        ('time per scan', 'ms_per_scan', '{:.2f} ms'),
         ('not observable', 'degenerate_s', '{:.1f} s'), ('lost scans', 'lost_scans', '{:,}')]
     shown = [(name, form.format(summary[key])) for name, key, form in cards if key in summary]
     return '<dl class="cards">' + ''.join(
@@ -80,13 +80,16 @@ def _warnings(summary: Mapping[str, Any]) -> str:
     return f'<section class="warnings"><h2>To be aware of</h2><ul>{items}</ul></section>'
 
 
+def _path(data: ReportData) -> str:
+    if data.path is None:
+        return ''
+    walls = ', with the walls found beside it' if data.cloud else ''
+    return _section('Path', f'The drive from above, coloured by speed{walls}.',
+                    [('path from above', path_figure(data))])
+
+
 def _motion(data: ReportData) -> Iterable[str]:
-    """Yield the sections on path, velocity and range image."""
-    if data.path is not None:
-        yield _section(
-            'Path', 'The drive from above, coloured by speed'
-            + (', with the walls found beside it.' if data.cloud else '.'),
-            [('path from above', path_figure(data))])
+    """Yield the sections on velocity and range image."""
     if len(data.seconds) > 1:
         yield _section(
             'Velocity', 'Motion of the vehicle from the horizontal scanner alone, with the band '
@@ -174,7 +177,7 @@ body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-
 h1 { font-size: 1.9rem; font-weight: 650; margin: 0 0 1rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.25rem; margin: 2.2rem 0 .3rem; }
 p { margin: 0 0 .8rem; color: #57606a; max-width: 46rem; }
-.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.6rem, 1fr));
+.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.6rem, 1fr));
   gap: .7rem; margin: 0; }
 .cards div { background: #f3f6f9; border-radius: .6rem; padding: .7rem .9rem; }
 .cards dt { color: #57606a; font-size: .82rem; }

@@ -20,11 +20,21 @@ from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.stri.joint import JointConfig, JointPath
-from stri_mapping.stri.proposal import propose
+from stri_mapping.stri.proposal import cost_of, Profile, propose
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Labels, Segmenter
+from stri_mapping.stri.trust import LABELS, MOVES
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+PROFILES = 48               # scans kept for proposing a motion
+TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
+TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
+DOUBT = 0.4                 # share of votes for the motion below which it is doubted
+MARGIN = 0.004              # metres, the least by which it must be better
+DECISIVE = 0.7              # cost of a proposal over that of coasting, to be believed
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,8 @@ class EstimatorConfig:
         Seconds between knots of the path; slow scanners get one scan period.
     degenerate_sigma
         Standard deviation of the forward speed in m/s above which it counts as not observable.
+    lost_sigma
+        Standard deviation of the speed in m/s above which another motion is looked for.
     image_window
         Seconds of the range image kept for pictures.
     joint
@@ -47,6 +59,7 @@ class EstimatorConfig:
 
     knot_spacing: float = 0.1
     degenerate_sigma: float = 0.1
+    lost_sigma: float = 0.4
     image_window: float = 8.0
     joint: JointConfig = field(default_factory=JointConfig)
 
@@ -77,6 +90,7 @@ class StriEstimator:
         self._pending: deque[int] = deque()      # stamps of scans whose final pose is to come
         self._refined: list[Estimate] = []       # final, not yet taken
         self._path: JointPath | None = None
+        self._profiles: deque[Profile] = deque(maxlen=PROFILES)
         self._origin_ns = 0
         self._T_odom_first = np.zeros(3)         # odom from the path's own frame
 
@@ -172,9 +186,11 @@ class StriEstimator:
         lever = twist + twist[2] * np.array([-self._mount[1], self._mount[0], 0.0])
         return np.asarray(_rotation(-self._mount[2]) @ lever)
 
-    def _profile(self, scan: Scan) -> tuple[float, Array, Array]:
-        """Return seconds, bearings and ranges of a scan, as `propose` takes them."""
+    def _profile(self, scan: Scan, moves: Mask | None = None) -> Profile:
+        """Return a scan as `propose` takes it, without the rays on what is known to move."""
         ranges = np.where(scan.valid, scan.ranges, np.nan)
+        if moves is not None:
+            ranges[moves] = np.nan
         order = slice(None, None, 1 if self._handed * scan.angles[-1] > self._handed
                       * scan.angles[0] else -1)
         return scan.stamp_ns * 1e-9, self._handed * scan.angles[order], ranges[order]
@@ -191,10 +207,32 @@ class StriEstimator:
     def _take(self, scan: Scan, labels: Labels) -> None:
         assert self._path is not None
         rays, start, end = self._prepare(scan, labels)
+        advanced = False
         while end > (self._path.step + 1) * self._path.h:
             self._path.advance()
+            advanced = True
+        if advanced:
+            self._take_up()
         self._path.add(start, end, rays)
+        moves = (labels >= 0) & (self._path.trust.weight[labels % LABELS] < MOVES)
+        self._profiles.append(self._profile(scan, moves))
         self._release(self._path.final_until)
+
+    def _take_up(self) -> None:
+        """When the motion is not known, look whether the newest scans tell another one."""
+        assert self._path is not None
+        sigma = self._path.sigma
+        doubted = self._path.trust.agreement < DOUBT
+        if (sigma < self.config.lost_sigma and not doubted) or self._path.step % TAKE_UP_EVERY:
+            return
+        now = self._estimate(self._pending[-1]).twist
+        reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
+        profiles = list(self._profiles)
+        twist, cost = propose(
+            profiles, self._mount, now[0] + np.linspace(-reach, reach, 31), now[2:] + TURNS)
+        coasting = cost_of(profiles, self._mount, now)
+        if cost < DECISIVE * coasting and cost < coasting - MARGIN:
+            self._path.restart(self._of_scanner(twist))
 
     def _release(self, until: float) -> None:
         while self._pending and self._seconds(self._pending[0]) < until:

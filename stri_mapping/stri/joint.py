@@ -70,6 +70,8 @@ REBUILD_SHIFT, REBUILD_TURN = 0.0015, 0.0004
 SLOTS, POINTS = 384, 2048
 RAYS_PER_STRIDE = 1000       # rays of a keyframe of which every next one becomes a surfel
 KEEP_EVERY = 0.05     # metres of path between keyframes kept for pairs over distance
+RESTART = 8           # knot intervals laid anew when the motion is taken up again
+CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 KEEP_TIME = 400       # knot intervals after which a keyframe is too old
 
 
@@ -96,8 +98,9 @@ class JointPath:
         self.config = config
         self.knots = np.zeros((1024, 3))
         self.first = 0            # first knot still active
+        self._start = 0           # knot at which the motion was taken up
         self.step = 0             # steps done: the spline is valid before step * h
-        self.agreement = 1.0
+        self.sigma = np.inf       # of the speed at the newest knot, m/s
         self.uncertainty = Uncertainty(spacing)
         self.error = RangeError()
         self.trust = Trust()
@@ -141,6 +144,36 @@ class JointPath:
         slot = self._keyframe(self.step)
         self._fit(self.first, last, [] if slot is None else [slot], SCALES,
                   self.config.iterations)
+
+    def restart(self, twist: Array) -> None:
+        """
+        Take up the motion again after losing it.
+
+        Parameters
+        ----------
+        twist
+            (3,) of the scanner in its own frame: the newest `RESTART` knot intervals are laid
+            anew along it, from where the path was, and fitted to their own scans alone.
+
+        """
+        begin = self.step - RESTART
+        anchor = self.pose(begin * self.h)
+        steps = np.arange(RESTART + 3)
+        self.knots[begin + 1:self.step + 4] = geometry.compose(
+            anchor, geometry.exp(steps[:, None] * self.h * twist))
+        self._pairs.count = 0
+        times = self._frames.time
+        kept = [s for s in self._order if s in self._sources and times[s] >= begin * self.h]
+        self._free += [s for s in self._order if s not in kept]
+        self._sources = {s: self._sources[s] for s in kept}
+        self._order = []
+        for slot in kept:
+            self._build(slot)
+            self._pair(slot)
+            self._order.append(slot)
+        self.trust.pardon()
+        self._start = begin + 2
+        self._fit(begin + 2, self.step + 3, kept, START_SCALES, 14)
 
     @property
     def final_until(self) -> float:
@@ -245,8 +278,8 @@ class JointPath:
     def _fit(self, first: int, last: int, new: list[int], scales: Array, iterations: int) -> None:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         newest = min((float(self._frames.time[s]) for s in new), default=np.inf)
+        self.trust.votes[:] = 0.0
         for attempt in range(3):
-            self.trust.votes[:] = 0.0
             self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations)
             stale = [s for s in self._order
                      if s in self._sources and self._frames.time[s] >= first * self.h
@@ -257,16 +290,17 @@ class JointPath:
                 self._build(slot)
             ends = self._pairs.ends[:self._pairs.count]
             self._pairs.passes[:self._pairs.count][np.isin(ends, stale).any(axis=1)] = 0
-        self.trust.update()
         self.uncertainty.extend(self.knots, last, self._pairs, self._frames, newest)
+        self.sigma = self.uncertainty.speed(self.step * self.h)
+        self.trust.update(self.sigma < CERTAIN)
 
     def _solve(
         self, first: int, last: int, scales: Array, newest: float, iterations: int,
     ) -> None:
         p, f = self._pairs, self._frames
         n = p.count
-        _, self.agreement, _ = solve(
-            self.knots, self.h, first, last, first == 0, p.ends[:n], p.z[:n], p.hessian[:n],
+        solve(
+            self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
             newest, iterations, self._jerk, self._acceleration, self.error.value,
             self.trust.weight, self._forward, self.trust.votes)

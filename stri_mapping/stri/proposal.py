@@ -75,6 +75,12 @@ def propose(
     return np.array([speed, 0.0, turn]), cost
 
 
+def cost_of(profiles: Sequence[Profile], mount: Array, twist: Array) -> float:
+    """Return the cost, as `propose` has it, of one twist (3,) of base_link."""
+    _, cost = propose(profiles, mount, twist[:1], twist[2:])
+    return cost
+
+
 def _spacing(values: Array) -> float:
     return float(values[1] - values[0]) if len(values) > 1 else 0.0
 
@@ -136,8 +142,13 @@ def _costs(
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
 def _difference(r: float, a: float, b: float) -> float:
-    """Return how far a range is from the two rays around it, between them counting as on."""
-    if abs(a - b) < 1.0 and min(a, b) <= r <= max(a, b):
+    """
+    Return how far a range is from the two rays around it, between them counting as on.
+
+    Far along a wall ranges differ by metres from ray to ray; comparing with the nearer of the
+    two there would prefer the speed at which all rays meet themselves: none.
+    """
+    if min(a, b) <= r <= max(a, b):
         return 0.0
     d = min(abs(a - r), abs(b - r))
     return min(d, CAP) if math.isfinite(d) else CAP

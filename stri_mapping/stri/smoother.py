@@ -30,6 +30,7 @@ STOP = 2e-4                       # metres or radians: the fit has converged
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION = 60.0
 ANCHOR = 1e8
+THIRD, SECOND = np.array([-1.0, 3.0, -3.0, 1.0]), np.array([1.0, -2.0, 1.0])
 
 
 @dataclass(eq=False)
@@ -113,7 +114,7 @@ class Pairs:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def solve(
-    knots: Array, h: float, first: int, last: int, anchored: bool, ends: Index, z: Array,
+    knots: Array, h: float, first: int, last: int, start: int, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
     jerk: Array, acceleration: Array, pull: float, trust: Array, forward: Array, votes: Array,
@@ -125,8 +126,9 @@ def solve(
     ----------
     knots, h
         (k, 3) spline coefficients, changed in place, and knot spacing in seconds.
-    anchored
-        Whether the first knots are held at their place (nothing before them is fixed).
+    start
+        Knot at which the motion was taken up: it is held in its place where it is active, and no
+        prior ties it to the motion before.
     ends .. passes
         The pairs in use, see `Pairs`.
     time .. bins
@@ -159,14 +161,14 @@ def solve(
         agreement = _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
             bins, scale, final, newest, pull, trust, forward, votes, information, slope, agreement)
-        _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, information, slope)
-        _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, information,
-                   slope)
+        add_prior(knots, first, last, start, THIRD, jerk, information, slope)
+        add_prior(knots, first, last, start, SECOND, acceleration, information, slope)
         for d in range(3 * n):
             information[d, d] += 1e-6
-        if anchored:
+        if start >= first:
             for d in range(9):
-                information[d, d] += ANCHOR if d < 3 else 1e2
+                i = 3 * (start - first) + d
+                information[i, i] += ANCHOR if d < 3 else 1e2
         step = np.linalg.solve(information, -slope)
         for k in range(n):
             for d in range(3):
@@ -217,13 +219,13 @@ def _add_pairs(
         for d in range(3):
             shift[d] = now[d] - z[p, d]
         g = gradient[p] + hessian[p] @ shift
-        m = _chain(ka - first, kb - first, weights_a, weights_b, pose[b], now, jacobian, columns)
+        m = chain(ka - first, kb - first, weights_a, weights_b, pose[b], now, jacobian, columns)
         _scatter(jacobian, columns, m, hessian[p], g, information, slope)
     return good / fresh if fresh else agreement
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _chain(
+def chain(
     ka: int, kb: int, weights_a: Array, weights_b: Array, pose_b: Array, z: Array,
     jacobian: Array, columns: Index,
 ) -> int:
@@ -270,13 +272,15 @@ def _scatter(
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _add_prior(
-    knots: Array, first: int, last: int, stencil: Array, weight: Array, information: Array,
-    slope: Array,
+def add_prior(
+    knots: Array, first: int, last: int, start: int, stencil: Array, weight: Array,
+    information: Array, slope: Array,
 ) -> None:
-    """Add the prior that finite differences of the coefficients are small."""
+    """Add the prior that finite differences of the coefficients are small, but across start."""
     width = len(stencil)
     for k in range(max(first - width + 1, 0), last - width + 1):
+        if k < start < k + width:
+            continue
         for d in range(3):
             e = 0.0
             for i in range(width):

@@ -21,6 +21,7 @@ NEW = 0.1              # weight of a surface just come into view
 GAIN, LOSS = 0.35, 0.5
 AGREES, DISAGREES = 0.5, 0.3
 ENOUGH = 2.0           # votes below which nothing can be said
+MOVES = 0.03           # weight below which a surface is known to move
 
 
 class Trust:
@@ -34,6 +35,8 @@ class Trust:
     votes
         (LABELS, 2) accepted and whole weight of the surfels that see motion along the way,
         collected by the fit.
+    agreement
+        Share of all votes that are for the motion found, over the last few fits.
 
     """
 
@@ -41,6 +44,7 @@ class Trust:
         """Trust all that is there at the start: nothing tells them apart."""
         self.weight = np.ones(LABELS)
         self.votes = np.zeros((LABELS, 2))
+        self.agreement = 1.0
 
     def add(self, surfaces: int, parents: NDArray[np.int32]) -> None:
         """
@@ -58,12 +62,28 @@ class Trust:
             number = (surfaces - len(parents) + i) % LABELS
             self.weight[number] = NEW if parent < 0 else self.weight[parent % LABELS]
 
-    def update(self) -> None:
-        """Judge every surface by its votes since they were last cleared."""
+    def update(self, certain: bool) -> None:
+        """
+        Judge every surface by its votes since they were last cleared.
+
+        Parameters
+        ----------
+        certain
+            Whether the vehicle's motion is known: if not, disagreement condemns nobody.
+
+        """
         accepted, whole = self.votes.T
+        if whole.sum() > 5.0 * ENOUGH:
+            self.agreement += 0.3 * (accepted.sum() / whole.sum() - self.agreement)
         heard = whole > ENOUGH
         share = accepted / np.maximum(whole, 1e-9)
         rise = heard & (share > AGREES)
         fall = heard & (share < DISAGREES)
         self.weight[rise] += GAIN * (1.0 - self.weight[rise])
-        self.weight[fall] *= 1.0 - LOSS
+        if certain:
+            self.weight[fall] *= 1.0 - LOSS
+
+    def pardon(self) -> None:
+        """Trust all again but those known to move."""
+        self.weight[self.weight >= MOVES] = 1.0
+        self.agreement = 1.0

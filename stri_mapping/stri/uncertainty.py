@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.smoother import _add_prior, _chain, Keyframes, Pairs
+from stri_mapping.stri.smoother import add_prior, chain, Keyframes, Pairs, SECOND, THIRD
 from stri_mapping.stri.spline import basis, pose_at
 
 Array = NDArray[np.float64]
@@ -113,6 +113,10 @@ class Uncertainty:
         return self._spread(
             k, np.array([-first, first - middle, middle - last, last]) / self.h)
 
+    def speed(self, t: float) -> float:
+        """Return the standard deviation in m/s of the velocity in its least certain direction."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.velocity(t)[:2, :2])[-1]))
+
     def _clamp(self, k: int) -> int:
         return min(max(k, self.first), self.first + len(self._covariance) // 3 - 4)
 
@@ -131,12 +135,12 @@ def _prior_from(
     """Add the priors of the differences that reach the knots from `done` on."""
     n = 3 * (last - first)
     scratch = np.zeros((n, n))
-    _add_prior(knots, first, last, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, scratch, slope)
-    _add_prior(knots, first, last, np.array([1.0, -2.0, 1.0]), acceleration, scratch, slope)
+    add_prior(knots, first, last, 0, THIRD, jerk, scratch, slope)
+    add_prior(knots, first, last, 0, SECOND, acceleration, scratch, slope)
     if done > first:
         before = np.zeros((n, n))
-        _add_prior(knots, first, done, np.array([-1.0, 3.0, -3.0, 1.0]), jerk, before, slope)
-        _add_prior(knots, first, done, np.array([1.0, -2.0, 1.0]), acceleration, before, slope)
+        add_prior(knots, first, done, 0, THIRD, jerk, before, slope)
+        add_prior(knots, first, done, 0, SECOND, acceleration, before, slope)
         scratch -= before
     information += scratch
 
@@ -176,7 +180,7 @@ def _add(
         delta[0], delta[1] = cos * dx + sin * dy, -sin * dx + cos * dy
         delta[2] = pose_a[2] - pose_b[2]
         _moved_information(hessian[p], pose[b], pose[a], pose_b, pose_a, turn)
-        m = _chain(ka - first, kb - first, weights_a, weights_b, pose_b, delta, jacobian, columns)
+        m = chain(ka - first, kb - first, weights_a, weights_b, pose_b, delta, jacobian, columns)
         for i in range(m):
             for j in range(m):
                 s = 0.0
