@@ -23,7 +23,8 @@ def test_a_stated_time_increment_is_believed():
     np.testing.assert_allclose(times, 2e-5 * np.arange(361))
 
 
-@pytest.mark.parametrize(('count', 'step', 'turns'), [(361, 0.5, 2), (201, 0.5, 2), (401, 0.25, 4)])
+@pytest.mark.parametrize(('count', 'step', 'turns'),
+                         [(361, 0.5, 2), (201, 0.5, 2), (401, 0.25, 4)])
 def test_merged_interlaced_scans_get_the_turn_and_sweep_of_each_ray(count, step, turns):
     times, merged = ray_times(count, step * DEG, 0.0)
     assert merged == turns

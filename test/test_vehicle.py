@@ -82,5 +82,6 @@ def test_files_that_are_not_yaml_or_not_there(tmp_path):
 
 def test_an_upright_scanner_cannot_be_horizontal(tmp_path, content):
     content['scanners'][0]['mount']['rpy'] = [np.pi / 2, 0.0, 0.0]
+    scanner = load(tmp_path, content).horizontal
     with pytest.raises(VehicleError, match='tilted by 90 degrees'):
-        load(tmp_path, content).horizontal.planar_mount
+        print(scanner.planar_mount)

@@ -261,7 +261,7 @@ def _fit(
         surfel[NX], surfel[NY] = nx, ny
         surfel[NORMAL_VAR] = sigma * sigma / (m * long)
         surfel[PULL] = r * r * (1.0 - facing * facing) / facing
-        return (kind == 1 or facing > HEAD_ON) and step < GRAZING_FITTED
+        return bool((kind == 1 or facing > HEAD_ON) and step < GRAZING_FITTED)
     return False
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The slope idea, for the start and after losing track: which motion continues the range image?
+The slope idea, for the start and after losing track: the motion that continues the image.
 
 The range profile of a later scan is predicted from an earlier one for every speed and turn rate
 that a vehicle may have; the motion that predicts best is taken.  Unlike matching of nearest

@@ -79,7 +79,7 @@ def _continues(ranges: Array, cos2: float, j: int, step: int, end: int) -> bool:
     if inverse <= 0.0:
         return False
     r = ranges[j + step]
-    return abs(1.0 / inverse - r) < 0.5 * (STEP + STEP_PER_RANGE * r)
+    return bool(abs(1.0 / inverse - r) < 0.5 * (STEP + STEP_PER_RANGE * r))
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -112,7 +112,7 @@ def _follow(
     ranges: Array, pieces: Labels, ranges_before: Array, labels_before: Labels, surfaces: int,
     labels: Labels, parents: Labels,
 ) -> int:
-    """Number the pieces of a scan after the surfaces they continue; return how many there are."""
+    """Give pieces the numbers of the surfaces they continue; return how many are given."""
     n, known = len(ranges), surfaces
     labels[:] = UNLABELLED
     start = 0

@@ -9,20 +9,17 @@ so that an iteration costs little more than a 36 x 36 solve.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 import math
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import BINS, SURFEL
 from stri_mapping.stri.pairs import linearise, relative
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 RESIDUALS = 200                   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
@@ -31,85 +28,6 @@ STOP = 2e-4                       # metres or radians: the fit has converged
 DILUTION = 60.0
 ANCHOR = 1e8
 THIRD, SECOND = np.array([-1.0, 3.0, -3.0, 1.0]), np.array([1.0, -2.0, 1.0])
-
-
-@dataclass(eq=False)
-class Keyframes:
-    """
-    Slots of keyframes; `time`, `knot`, `weights` and `pose` tell where each is on the spline.
-
-    Attributes
-    ----------
-    surfels, counts, bins
-        (slots, m, 7), (slots,), (slots, BINS + 1).
-    time
-        (slots,) seconds on the spline's clock.
-    pose
-        (slots, 3) newest pose of the scanner.
-
-    """
-
-    slots: int
-    capacity: int
-    surfels: Array = field(init=False)
-    counts: Index = field(init=False)
-    bins: NDArray[np.int32] = field(init=False)
-    time: Array = field(init=False)
-    pose: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Allocate once; nothing is allocated per scan."""
-        self.surfels = np.zeros((self.slots, self.capacity, SURFEL))
-        self.counts = np.zeros(self.slots, np.int64)
-        self.bins = np.zeros((self.slots, BINS + 1), np.int32)
-        self.time = np.zeros(self.slots)
-        self.pose = np.zeros((self.slots, 3))
-
-
-@dataclass(eq=False)
-class Pairs:
-    """
-    Condensed pairs of keyframes; the first `count` rows are in use.
-
-    Attributes
-    ----------
-    ends
-        (n, 2) slots of keyframes a and b.
-    z, hessian, gradient
-        (n, 3) pose of a in b at which the pair was linearised, (n, 3, 3), (n, 3).
-    passes
-        (n,) how often it was linearised; 0 forces the next.
-
-    """
-
-    size: int
-    count: int = 0
-    ends: Index = field(init=False)
-    z: Array = field(init=False)
-    hessian: Array = field(init=False)
-    gradient: Array = field(init=False)
-    passes: Index = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Allocate once."""
-        self.ends = np.zeros((self.size, 2), np.int64)
-        self.z = np.zeros((self.size, 3))
-        self.hessian = np.zeros((self.size, 3, 3))
-        self.gradient = np.zeros((self.size, 3))
-        self.passes = np.zeros(self.size, np.int64)
-
-    def add(self, a: int, b: int) -> None:
-        """Add the pair a, b, to be linearised."""
-        self.ends[self.count] = a, b
-        self.passes[self.count] = 0
-        self.count += 1
-
-    def keep(self, mask: Mask) -> None:
-        """Drop the pairs that the mask (count,) does not keep."""
-        rows = np.flatnonzero(mask)
-        for column in (self.ends, self.z, self.hessian, self.gradient, self.passes):
-            column[:len(rows)] = column[rows]
-        self.count = len(rows)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -130,9 +48,9 @@ def solve(
         Knot at which the motion was taken up: it is held in its place where it is active, and no
         prior ties it to the motion before.
     ends .. passes
-        The pairs in use, see `Pairs`.
+        The pairs in use, see `window.Pairs`.
     time .. bins
-        The keyframes, see `Keyframes`; `pose` is brought up to date.
+        The keyframes, see `window.Keyframes`; `pose` is brought up to date.
     scales
         Geman-McClure scales of the iterations, the last for all that follow.
     newest

@@ -16,8 +16,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.smoother import add_prior, chain, Keyframes, Pairs, SECOND, THIRD
+from stri_mapping.stri.smoother import add_prior, chain, SECOND, THIRD
 from stri_mapping.stri.spline import basis, pose_at
+from stri_mapping.stri.window import Keyframes, Pairs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,7 +73,7 @@ class Uncertainty:
         """
         size = 3 * (last - self.first)
         old = len(self._information)
-        information = np.zeros((size, size))
+        information: Array = np.zeros((size, size))
         information[:old, :old] = self._information
         if old == 0:
             weights = np.empty(4)
@@ -92,7 +93,8 @@ class Uncertainty:
         drop = 3 * max(0, last - self.first - WINDOW)
         if drop:
             kept = np.linalg.solve(information[:drop, :drop], information[:drop, drop:])
-            information = information[drop:, drop:] - information[drop:, :drop] @ kept
+            information = np.asarray(
+                information[drop:, drop:] - information[drop:, :drop] @ kept, np.float64)
             self.first += drop // 3
         self._information = 0.5 * (information + information.T)
         self._covariance = np.linalg.inv(self._information)

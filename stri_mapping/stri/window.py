@@ -1,0 +1,206 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sliding buffer of keyframes: which there are, and which are compared with which."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.stri import keyframe
+from stri_mapping.stri.spline import pose_at, velocity_at
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SLOTS, POINTS = 384, 2048     # keyframes kept at most, and surfels of each
+RAYS_PER_STRIDE = 1000        # rays of a keyframe of which every next one becomes a surfel
+KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
+KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
+STALE_SHIFT, STALE_TURN = 0.0015, 0.0004     # m, rad by which rays of a keyframe are misplaced
+
+
+@dataclass(eq=False)
+class Keyframes:
+    """
+    Keyframes in numbered slots, allocated once.
+
+    Attributes
+    ----------
+    surfels, counts, bins
+        (slots, m, SURFEL), (slots,), (slots, BINS + 1), see `keyframe.build`.
+    time
+        (slots,) seconds on the spline's clock.
+    pose
+        (slots, 3) newest pose of the scanner.
+
+    """
+
+    surfels: Array = field(
+        default_factory=lambda: np.zeros((SLOTS, POINTS, keyframe.SURFEL)))
+    counts: Index = field(default_factory=lambda: np.zeros(SLOTS, np.int64))
+    bins: NDArray[np.int32] = field(
+        default_factory=lambda: np.zeros((SLOTS, keyframe.BINS + 1), np.int32))
+    time: Array = field(default_factory=lambda: np.zeros(SLOTS))
+    pose: Array = field(default_factory=lambda: np.zeros((SLOTS, 3)))
+
+
+@dataclass(eq=False)
+class Pairs:
+    """
+    Condensed pairs of keyframes; the first `count` rows are in use.
+
+    Attributes
+    ----------
+    ends
+        (n, 2) slots of keyframes a and b.
+    z, hessian, gradient
+        (n, 3) pose of a in b at which the pair was linearised, (n, 3, 3), (n, 3).
+    passes
+        (n,) how often it was linearised; 0 forces the next.
+
+    """
+
+    count: int = 0
+    ends: Index = field(default_factory=lambda: np.zeros((8 * SLOTS, 2), np.int64))
+    z: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3)))
+    hessian: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3, 3)))
+    gradient: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3)))
+    passes: Index = field(default_factory=lambda: np.zeros(8 * SLOTS, np.int64))
+
+    def add(self, a: int, b: int) -> None:
+        """Add the pair a, b, to be linearised."""
+        self.ends[self.count] = a, b
+        self.passes[self.count] = 0
+        self.count += 1
+
+    def keep(self, mask: Mask) -> None:
+        """Drop the pairs that the mask (count,) does not keep."""
+        rows = np.flatnonzero(mask)
+        for column in (self.ends, self.z, self.hessian, self.gradient, self.passes):
+            column[:len(rows)] = column[rows]
+        self.count = len(rows)
+
+    def renew(self, slots: list[int]) -> None:
+        """Have all pairs with one of these keyframes linearised again."""
+        self.passes[:self.count][np.isin(self.ends[:self.count], slots).any(axis=1)] = 0
+
+
+class Window:
+    """
+    Keyframes and pairs over the newest stretch of the path.
+
+    Parameters
+    ----------
+    spacing
+        Knot spacing of the spline in seconds.
+    angle_step
+        Radians between rays of a scan.
+    lags
+        Keyframes back that a new one is paired with.
+    distances
+        Metres back along the path that a new one is paired with.
+    recent
+        Keyframes, counted back from the newest, that may have to be built again.
+
+    """
+
+    def __init__(
+        self, spacing: float, angle_step: float, lags: tuple[int, ...],
+        distances: tuple[float, ...], recent: int,
+    ) -> None:
+        """Start empty."""
+        self.frames, self.pairs = Keyframes(), Pairs()
+        self.order: list[int] = []                 # slots in use, oldest first
+        self.travelled = 0.0                       # metres of path to the newest keyframe
+        self._h, self._angle_step = spacing, angle_step
+        self._lags, self._distances, self._recent = lags, distances, recent + max(lags)
+        self._free = list(range(SLOTS))
+        self._odometer = np.zeros(SLOTS)
+        self._velocity = np.zeros((SLOTS, 3))      # with which each was built
+        self._rays: dict[int, Array] = {}          # of those that may be built again
+
+    def add(self, rays: Array, moment: float, knots: Array) -> int:
+        """Merge prepared rays (n, 5) to a keyframe at a moment; pair it; return its slot."""
+        slot = self._free.pop()
+        self._rays[slot] = rays
+        self.frames.time[slot] = moment
+        self._admit(slot, knots)
+        return slot
+
+    def _admit(self, slot: int, knots: Array) -> None:
+        self.build(slot, knots)
+        if self.order:
+            self.travelled += float(np.hypot(
+                *(self.frames.pose[slot] - self.frames.pose[self.order[-1]])[:2]))
+        self._odometer[slot] = self.travelled
+        for other in sorted(self._partners()):
+            self.pairs.add(slot, other)
+            self.pairs.add(other, slot)
+        self.order.append(slot)
+
+    def _partners(self) -> set[int]:
+        """Return the slots that a keyframe at the end of the path is compared with."""
+        partners = {self.order[-lag] for lag in self._lags if lag <= len(self.order)}
+        passed = self._odometer[self.order]
+        for distance in self._distances:
+            k = int(np.searchsorted(passed, self.travelled - distance, side='right')) - 1
+            if k >= 0:
+                partners.add(self.order[k])
+        return partners
+
+    def build(self, slot: int, knots: Array) -> None:
+        """Put the rays of a keyframe where the spline says, and fit its lines."""
+        frames, rays = self.frames, self._rays[slot]
+        t = frames.time[slot]
+        frames.counts[slot] = keyframe.build(
+            rays, knots, self._h, t, self._angle_step, max(1, len(rays) // RAYS_PER_STRIDE),
+            frames.surfels[slot], frames.bins[slot])
+        velocity_at(knots, self._h, t, self._velocity[slot])
+        pose_at(knots, self._h, t, np.empty(4), frames.pose[slot])
+
+    def stale(self, knots: Array, begin: float) -> list[int]:
+        """Return the keyframes since a time that were built with another motion than now."""
+        return [slot for slot in self.order
+                if slot in self._rays and self.frames.time[slot] >= begin
+                and self._misplaced(slot, knots)]
+
+    def _misplaced(self, slot: int, knots: Array) -> bool:
+        now = np.empty(3)
+        velocity_at(knots, self._h, self.frames.time[slot], now)
+        change = 0.5 * self._h * np.abs(now - self._velocity[slot])
+        return bool(np.hypot(change[0], change[1]) > STALE_SHIFT or change[2] > STALE_TURN)
+
+    def forget(self, begin: float) -> None:
+        """Let go of pairs wholly before a time, and of keyframes no longer needed."""
+        frames, pairs, order = self.frames, self.pairs, self.order
+        pairs.keep(frames.time[pairs.ends[:pairs.count]].max(axis=1, initial=-np.inf) >= begin)
+        recent = set(order[-self._recent:])
+        used = recent | set(pairs.ends[:pairs.count].ravel().tolist())
+        reach = max(self._distances, default=0.0) + 1.0
+        kept, at = [], -np.inf
+        for slot in order:
+            near = (self.travelled - self._odometer[slot] <= reach
+                    and begin - frames.time[slot] < KEEP_SECONDS)
+            if slot in used or (near and self._odometer[slot] - at >= KEEP_EVERY):
+                kept.append(slot)
+                at = self._odometer[slot]
+            else:
+                self._free.append(slot)
+            if slot not in recent:
+                self._rays.pop(slot, None)
+        self.order = kept
+
+    def rebuild(self, begin: float, knots: Array) -> float:
+        """Keep only the keyframes since a time, built and paired anew; return the first's time."""
+        kept = [s for s in self.order if s in self._rays and self.frames.time[s] >= begin]
+        self._free += [s for s in self.order if s not in kept]
+        self._rays = {s: self._rays[s] for s in kept}
+        self.pairs.count = 0
+        self.order = []
+        for slot in kept:
+            self._admit(slot, knots)
+        return float(self.frames.time[kept[0]]) if kept else np.inf
