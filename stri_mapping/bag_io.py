@@ -8,17 +8,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import logging
 from pathlib import Path
+import sqlite3
+import struct
 from types import TracebackType
 from typing import Any
 import zlib
 
+from backports.zstd import ZstdError
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection, ConnectionExtRosbag1
 from rosbags.rosbag1 import ReaderError as Ros1ReaderError
 from rosbags.rosbag2 import ReaderError as Ros2ReaderError
-from rosbags.typesys import get_typestore, Stores
+from rosbags.serde import SerdeError
+from rosbags.typesys import get_typestore, Stores, TypesysError
 
 from stri_mapping import geometry
 from stri_mapping.errors import BagError
@@ -33,7 +37,8 @@ LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 TRUTH_TOPIC = '/ground_truth/odom'
 # What the readers below raise on bytes that are not what they should be.
 BROKEN = (AnyReaderError, Ros1ReaderError, Ros2ReaderError, AssertionError, EOFError, KeyError,
-          IndexError, ValueError, OSError, UnicodeDecodeError, zlib.error)
+          IndexError, ValueError, OSError, UnicodeDecodeError, RuntimeError, struct.error,
+          SerdeError, sqlite3.Error, TypesysError, zlib.error, ZstdError)
 
 
 class Bag:

@@ -175,7 +175,8 @@ def lost_scans(stamps_ns: ArrayLike) -> int:
 
     A gap of about k periods (their median) counts k - 1 lost scans.  Where stamps are late and
     the next ones make up for it nothing was lost: a gap counts only by what is still open a few
-    scans later.
+    scans later.  Where fewer than half of the gaps are about a period, scans come at no fixed
+    rate, and 0 is returned: what is missing cannot be told.
 
     Parameters
     ----------
@@ -186,9 +187,12 @@ def lost_scans(stamps_ns: ArrayLike) -> int:
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     if len(stamps) < 3:
         return 0
-    period = float(np.median(np.diff(stamps)))
+    gaps = np.diff(stamps)
+    period = float(np.median(gaps))
+    if np.mean(np.abs(gaps - period) < 0.25 * period) < 0.5:
+        return 0
     lost = 0
-    for i in np.flatnonzero(np.diff(stamps) > 1.5 * period):
+    for i in np.flatnonzero(gaps > 1.5 * period):
         later = (stamps[i + 1:i + 9] - stamps[i]) / period
         lost += max(round(float(np.min(later - np.arange(1, len(later) + 1)))), 0)
     return lost

@@ -5,15 +5,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from stri_mapping import geometry
 from stri_mapping.errors import TrajectoryError
 from stri_mapping.metrics import (
-    align_best, align_start, displacements, Metric, path_metrics, read_relations, relation_errors,
-    relation_metrics, Relations, speed_metrics, twist_metrics)
+    align_best,
+    align_start,
+    displacements,
+    Metric,
+    path_metrics,
+    read_relations,
+    relation_errors,
+    relation_metrics,
+    Relations,
+    speed_metrics,
+    twist_metrics,
+)
 from stri_mapping.trajectory import Trajectory
 
 S = 10**9

@@ -103,14 +103,17 @@ def test_a_misspelt_parameter_is_said(bag_path):
 def test_the_clock_goes_with_the_messages(listener, bag_path):
     from rclpy.qos import qos_profile_sensor_data
     from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import LaserScan
     node, executor, env = listener
     stamps: list[int] = []
     node.create_subscription(
         Clock, '/clock', lambda m: stamps.append(m.clock.sec * 10**9 + m.clock.nanosec),
         qos_profile_sensor_data)
+    node.create_subscription(LaserScan, TOPICS[0], lambda data: None, live.lossless(), raw=True)
     with Bag(bag_path) as bag:
         logged = [log_ns for _, log_ns, _ in bag.raw_messages()]
-    with live.node('bag_player', {'bag': bag_path, 'rate': 2.0}, env) as player:
+    parameters = {'bag': bag_path, 'rate': 1.0, 'subscribers': TOPICS[0]}
+    with live.node('bag_player', parameters, env) as player:
         live.spin_until(executor, lambda: player.poll() is not None, 'the end')
         for _ in range(20):
             executor.spin_once(timeout_sec=0.05)

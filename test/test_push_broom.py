@@ -3,14 +3,20 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from stri_mapping import geometry
 from stri_mapping.facade import push_broom
 from stri_mapping.facade.push_broom import (
-    at_constant_speed, concatenate, FacadeAligner, FacadePoints, from_base)
+    at_constant_speed,
+    concatenate,
+    FacadeAligner,
+    FacadePoints,
+    from_base,
+)
 from stri_mapping.scan import Scan
 from stri_mapping.trajectory import constant_speed, Trajectory
 from stri_mapping.vehicle import Scanner
@@ -28,7 +34,7 @@ def drive(seconds: float, step_ns: int = TURN_NS) -> Trajectory:
     return Trajectory(stamps, geometry.exp(((stamps - START_NS) * 1e-9)[:, None] * TWIST))
 
 
-def scanner(name: str, xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Scanner:
+def scanner(name: str, xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Scanner:
     return Scanner(name, 'vertical', geometry.transform(xyz, rpy), f'{name}_laser', f'{name}/scan')
 
 
@@ -103,7 +109,8 @@ def test_any_mount_keeps_ranges_and_the_matrix_product(numbers: tuple[float, ...
         ray = np.flatnonzero(each.valid)[i]
         p = np.array([*each.points[ray], 0.0, 1.0])
         np.testing.assert_allclose(points.xyz[i], (T @ p)[:3], atol=1e-8)
-        assert np.linalg.norm(points.xyz[i] - T[:3, 3]) == pytest.approx(each.ranges[ray], abs=1e-8)
+        reach = np.linalg.norm(points.xyz[i] - T[:3, 3])
+        assert reach == pytest.approx(each.ranges[ray], abs=1e-8)
 
 
 def test_rays_without_a_pose_are_counted_and_left_out() -> None:

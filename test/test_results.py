@@ -6,7 +6,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import laspy
 import numpy as np
 from plyfile import PlyData
@@ -17,8 +18,15 @@ from stri_mapping.errors import StriMappingError, UsageError
 from stri_mapping.facade.cloud_files import CloudWriter, count_points, read_ply
 from stri_mapping.facade.push_broom import FacadePoints
 from stri_mapping.results import (
-    lost_scans, MotionWriter, prepare_folder, read_summary, read_velocity, scanner_facts,
-    VELOCITY_HEADER, write_summary)
+    lost_scans,
+    MotionWriter,
+    prepare_folder,
+    read_summary,
+    read_velocity,
+    scanner_facts,
+    VELOCITY_HEADER,
+    write_summary,
+)
 from stri_mapping.scan import ScanCounts
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.trajectory import read_tum
@@ -32,7 +40,8 @@ def some_points(count: int, seed: int = 0, brightest: float = 255.0) -> FacadePo
     return FacadePoints(
         rng.uniform([-300.0, -20.0, -1.0], [500.0, 40.0, 25.0], (count, 3)),
         rng.uniform(0.0, brightest, count).astype(np.float32),
-        START_NS + rng.integers(0, 600 * 10**9, count), rng.integers(0, 3, count).astype(np.uint16))
+        START_NS + rng.integers(0, 600 * 10**9, count),
+        rng.integers(0, 3, count).astype(np.uint16))
 
 
 def estimate(index: int, degenerate: bool = False) -> Estimate:
@@ -191,6 +200,8 @@ def test_late_stamps_are_not_lost_scans() -> None:
     stamps[40:44] += np.array([120, 80, 60, 20]) * 1_000_000      # a logger that fell behind
     assert lost_scans(stamps) == 0
     assert lost_scans(np.delete(stamps, [70, 71])) == 2
+    irregular = np.cumsum(np.random.default_rng(0).exponential(1e8, 500)).astype(np.int64)
+    assert lost_scans(irregular) == 0                    # a logger that records on events
     assert lost_scans(stamps[:2]) == 0 and lost_scans([]) == 0
 
 

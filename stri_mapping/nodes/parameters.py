@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
+import inspect
 from pathlib import Path
 import re
 from typing import Any, TypeVar
@@ -99,7 +100,6 @@ def _declare_one(node: Node, name: str, default: object, description: str) -> An
 
 def descriptions(config: type[Any]) -> dict[str, str]:
     """Return what the class's docstring says of each attribute, on one line."""
-    _, _, section = (config.__doc__ or '').partition('Attributes\n')
-    entries = re.findall(r'^    (\w[\w, ]*)\n((?:^        .*\n?)+)', section,
-                         flags=re.MULTILINE)
+    _, _, section = (inspect.getdoc(config) or '').partition('Attributes\n')
+    entries = re.findall(r'^(\w[\w, ]*)\n((?:^    .*\n?)+)', section, flags=re.MULTILINE)
     return {name: ' '.join(text.split()) for names, text in entries for name in names.split(', ')}

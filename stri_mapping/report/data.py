@@ -13,6 +13,7 @@ import zipfile
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping import geometry
 from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import count_points, PLY_NAME, read_ply
 from stri_mapping.facade.push_broom import at_constant_speed
@@ -33,6 +34,8 @@ MAX_POINTS = 2_000_000
 # A drive whose ends are nearer than this share of its length is not straight enough to be
 # compared with a straight drive at constant speed.
 STRAIGHT = 0.7
+# Height above the lowest points in which a point may belong to the ground, metres.
+GROUND = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,16 @@ class RangeImageData:
     bearings: Array
     ranges: NDArray[np.float32]
     segments: NDArray[np.int32]
+
+    def points(self, path: Trajectory, T_base_laser: Array) -> Array:
+        """Return its returns as points (n, 2) in odom, each scan placed by its stamp's pose."""
+        stamps = path.stamps_ns[0] + np.rint(1e9 * self.seconds).astype(np.int64)
+        row, column = np.nonzero(np.isfinite(self.ranges))
+        poses, reach = path.at(stamps)[row], self.ranges[row, column].astype(float)
+        rays = np.stack([np.cos(self.bearings), np.sin(self.bearings)], axis=1)[column]
+        base = (reach[:, None] * rays) @ T_base_laser[:2, :2].T + T_base_laser[:2, 3]
+        placed = geometry.compose(poses, np.column_stack([base, np.zeros(len(base))]))[:, :2]
+        return placed[np.isfinite(placed[:, 0])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +86,18 @@ class ReportData:
             return []
         origin = self.path.stamps_ns[0] * 1e-9
         return [(a - origin, b - origin) for a, b in self.summary.get('degenerate_stretches', [])]
+
+    @property
+    def walls(self) -> Array | None:
+        """Points (n, 2) in odom of what stands beside the path; None where nothing is known."""
+        if self.cloud is not None:
+            z = self.cloud.xyz[:, 2]
+            return self.cloud.xyz[z > np.percentile(z, 0.3) + GROUND, :2]
+        scanners = self.summary.get('scanners', [])
+        mounts = [s['mount'] for s in scanners if s['role'] == 'horizontal']
+        if self.path is None or self.range_image is None or not mounts:
+            return None
+        return self.range_image.points(self.path, geometry.transform(**mounts[0]))
 
 
 def read_folder(folder: Path) -> ReportData:

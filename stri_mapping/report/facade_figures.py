@@ -12,9 +12,9 @@ from matplotlib.image import AxesImage
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.report.data import Cloud
+from stri_mapping.report.data import Cloud, GROUND
 from stri_mapping.report.facade_views import blended, Grid, nearest_depth, unroll, Unrolled
-from stri_mapping.report.figures import colour_bar, GROUND, INK, style, WIDTH
+from stri_mapping.report.figures import colour_bar, INK, OUTLIERS, style, WIDTH
 from stri_mapping.trajectory import constant_speed, Trajectory
 
 Array = NDArray[np.float64]
@@ -30,8 +30,6 @@ PIECE = 24.0
 # Gaps between scan lines and rays up to about twice this many metres are closed in pictures: at
 # 10 m neighbouring rays of a 1 degree scanner are 0.17 m apart.
 REACH = 0.13
-# Returns higher or farther than this share of all are let out of the pictures.
-OUTLIERS = 0.3
 
 
 @dataclass(frozen=True, eq=False)

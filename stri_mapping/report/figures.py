@@ -21,8 +21,8 @@ INK, BLUE, LIGHT_BLUE, RED = '#24292f', '#0b5cad', '#9ec5ee', '#c0392b'
 # Points of a curve drawn at most: more cannot be told apart on a page.
 CURVE_POINTS = 1500
 PATH_POINTS = 600
-# Height above the lowest points in which a point may belong to the ground, metres.
-GROUND = 0.5
+# Percent of the points, on either side, that are let out as stray returns.
+OUTLIERS = 0.3
 
 
 def style(axes: Axes, xlabel: str = '', ylabel: str = '') -> None:
@@ -44,19 +44,20 @@ def colour_bar(figure: Figure, axes: Axes | list[Axes], shown: AxesImage | LineC
 
 
 def path_figure(data: ReportData) -> Figure:
-    """Draw the path from above, coloured by speed, over the points of the cloud."""
+    """Draw the path from above, coloured by speed, over what stands beside it."""
     assert data.path is not None
     shown = np.linspace(0, len(data.path) - 1, min(len(data.path), PATH_POINTS)).astype(int)
     xy = data.path.poses[shown, :2]
-    seen = xy if data.cloud is None else np.concatenate([xy, data.cloud.xyz[:, :2]])
+    walls = data.walls
+    seen = xy if walls is None else np.concatenate([xy, walls])
     # a few far returns through gaps must not shrink the street
-    low, high = np.percentile(seen, [0.3, 99.7], axis=0)
+    low, high = np.percentile(seen, [OUTLIERS, 100.0 - OUTLIERS], axis=0)
     low, high = np.minimum(low, xy.min(axis=0)) - 2.0, np.maximum(high, xy.max(axis=0)) + 2.0
     height = np.clip((WIDTH - 1.6) * (high[1] - low[1]) / (high[0] - low[0]) + 0.6, 1.3, 7.5)
     figure = Figure(figsize=(WIDTH, height), layout='constrained')
     axes = figure.subplots()
-    if data.cloud is not None:
-        _draw_density(axes, data.cloud.xyz, low, high)
+    if walls is not None:
+        _draw_density(axes, walls, low, high)
     speed = _speed_at(data, shown)
     line = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap='plasma', linewidths=2.5,
                           array=0.5 * (speed[1:] + speed[:-1]), capstyle='round', zorder=3)
@@ -69,12 +70,11 @@ def path_figure(data: ReportData) -> Figure:
     return figure
 
 
-def _draw_density(axes: Axes, xyz: Array, low: Array, high: Array) -> None:
-    """Shade where points lie above each other, the ground left out: walls come out dark."""
-    xyz = xyz[xyz[:, 2] > np.percentile(xyz[:, 2], 0.3) + GROUND]
+def _draw_density(axes: Axes, points: Array, low: Array, high: Array) -> None:
+    """Shade where points (n, 2) lie above each other: walls come out dark."""
     cell = max(float(np.max(high - low)) / 1400.0, 0.02)
     bins = [np.arange(a, b + cell, cell) for a, b in zip(low, high)]
-    count, _, _ = np.histogram2d(xyz[:, 0], xyz[:, 1], bins=bins)
+    count, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=bins)
     shade = np.where(count > 0.0, np.log1p(count), np.nan).T
     axes.imshow(shade, cmap='Greys', vmin=-1.5, origin='lower',
                 extent=(bins[0][0], bins[0][-1], bins[1][0], bins[1][-1]), interpolation='none')
@@ -102,6 +102,8 @@ def velocity_figure(data: ReportData) -> Figure:
     rows[2].set_ylim(0.0, 1.05)
     for number, axes in enumerate(rows):
         for start, stop in data.degenerate:
+            if stop - start < (t[-1] - t[0]) / CURVE_POINTS:
+                continue                     # narrower than a line
             axes.axvspan(start, stop, color=RED, alpha=0.14, linewidth=0.0,
                          label='not observable' if number == 0 else None)
         axes.margins(x=0.0)

@@ -83,7 +83,7 @@ def _warnings(summary: Mapping[str, Any]) -> str:
 def _path(data: ReportData) -> str:
     if data.path is None:
         return ''
-    walls = ', with the walls found beside it' if data.cloud else ''
+    walls = '' if data.walls is None else ', with what was seen beside it'
     return _section('Path', f'The drive from above, coloured by speed{walls}.',
                     [('path from above', path_figure(data))])
 
