@@ -21,7 +21,6 @@ setup(
         'PyYAML',
         'laspy[lazrs]>=2.5',
         'matplotlib',
-        'mcap',
         'numba',
         'numpy',
         'plyfile',
@@ -32,7 +31,7 @@ setup(
     extras_require={
         # For machines without an installed ROS 2; never mixed with one from apt.
         'ros': ['ros-jazzy-common-interfaces==5.3.6', 'ros-jazzy-rclpy[fastrtps]==7.1.6'],
-        'simulation': ['embreex', 'trimesh'],
+        'simulation': ['embreex'],
         'test': ['colcon-common-extensions', 'hypothesis', 'mypy', 'pytest', 'ruff',
                  'types-PyYAML'],
     },

@@ -77,7 +77,7 @@ def exp(twist: ArrayLike) -> Array:
 
 
 def log(pose: ArrayLike) -> Array:
-    """Return the body twist (..., 3) whose `exp` is the pose; inverse of `exp` for |yaw| < 2 pi."""
+    """Return the body twist (..., 3) whose `exp` is the pose; undoes `exp` for |yaw| < 2 pi."""
     pose = np.asarray(pose, dtype=float)
     half = 0.5 * pose[..., 2]
     scale = np.sinc(half / np.pi)

@@ -53,9 +53,9 @@ class Mapper:
         self._started = time.perf_counter()
 
     @property
-    def poses(self) -> int:
-        """Final poses so far."""
-        return self._motion.count
+    def moved(self) -> bool:
+        """Whether the scans told the motion at any time so far."""
+        return self._motion.observed > 0
 
     def add(self, scanner: Scanner, scan: Scan) -> None:
         """Take the next scan of any scanner, in recorded order."""

@@ -10,7 +10,6 @@ figure either needs no common frame or says how the two were laid on each other.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +25,6 @@ Stamps = NDArray[np.int64]
 MAX_TRUTH_GAP = 1.0
 # True speed from which a relative speed error means something, and up to which one stands.
 MOVING, STANDING = 1.0, 0.02
-# Relations no farther apart than this are the local ones, seconds.
-LOCAL = 30.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,8 @@ class Metric:
     text: str
 
 
-def _metric(name: str, value: float, unit: str, text: str) -> Metric:
+def metric(name: str, value: float, unit: str, text: str) -> Metric:
+    """Return a metric; NaN means that there is no case of it."""
     return Metric(name, float(value) if np.isfinite(value) else None, unit, text)
 
 
@@ -73,11 +71,12 @@ def common_poses(estimate: Trajectory, truth: Trajectory) -> tuple[Stamps, Array
     known = ~np.isnan(true[:, 0])
     if np.count_nonzero(known) < 2:
         raise TrajectoryError('truth and estimate have no time in common: '
-                              f'{_span(truth)} against {_span(estimate)}')
+                              f'{span_of(truth)} against {span_of(estimate)}')
     return estimate.stamps_ns[known], estimate.poses[known], true[known]
 
 
-def _span(trajectory: Trajectory) -> str:
+def span_of(trajectory: Trajectory) -> str:
+    """Return in words, for messages, which time a trajectory covers."""
     if len(trajectory) == 0:
         return 'no pose'
     return f'{trajectory.stamps_ns[0] * 1e-9:.3f} to {trajectory.stamps_ns[-1] * 1e-9:.3f} s'
@@ -120,16 +119,16 @@ def path_metrics(estimate: Trajectory, truth: Trajectory) -> list[Metric]:
     error = np.hypot(*(started - true)[:, :2].T)
     heading = np.rad2deg(geometry.wrap_angle((started - true)[:, 2]))
     return [
-        _metric('distance_m', distance, 'm', 'true distance driven'),
-        _metric('end_error_m', error[-1], 'm', 'position error at the end, aligned at the start'),
-        _metric('drift_percent', 100.0 * error[-1] / distance if distance > 0.0 else np.nan, '%',
+        metric('distance_m', distance, 'm', 'true distance driven'),
+        metric('end_error_m', error[-1], 'm', 'position error at the end, aligned at the start'),
+        metric('drift_percent', 100.0 * error[-1] / distance if distance > 0.0 else np.nan, '%',
                 'that in percent of the distance'),
-        _metric('ate_start_rmse_m', _rms(error), 'm', 'position error, aligned at the start, rms'),
-        _metric('ate_start_max_m', _largest(error), 'm', 'the same, largest'),
-        _metric('ate_fit_rmse_m', _rms(np.hypot(*(fitted - true)[:, :2].T)), 'm',
+        metric('ate_start_rmse_m', _rms(error), 'm', 'position error, aligned at the start, rms'),
+        metric('ate_start_max_m', _largest(error), 'm', 'the same, largest'),
+        metric('ate_fit_rmse_m', _rms(np.hypot(*(fitted - true)[:, :2].T)), 'm',
                 'position error after the best fit in the plane, rms'),
-        _metric('heading_rmse_deg', _rms(heading), 'deg', 'heading error, rms'),
-        _metric('heading_end_deg', heading[-1], 'deg', 'heading error at the end')]
+        metric('heading_rmse_deg', _rms(heading), 'deg', 'heading error, rms'),
+        metric('heading_end_deg', heading[-1], 'deg', 'heading error at the end')]
 
 
 def displacements(trajectory: Trajectory, stamps_ns: Stamps, window: float,
@@ -186,14 +185,14 @@ def speed_metrics(estimate: Trajectory, truth: Trajectory, window: float = 0.2,
     relative = 100.0 * (speed[moving] / true_speed[moving] - 1.0)
     over = f'over {window:g} s'
     return [
-        _metric('velocity_rmse_mps', _rms(np.hypot(*(estimated - true)[known].T)), 'm/s',
+        metric('velocity_rmse_mps', _rms(np.hypot(*(estimated - true)[known].T)), 'm/s',
                 f'velocity error {over}, both components, rms'),
-        _metric('speed_error_rms_percent', _rms(relative), '%',
+        metric('speed_error_rms_percent', _rms(relative), '%',
                 f'relative speed error {over} above {MOVING:g} m/s, rms'),
-        _metric('speed_error_worst_percent', _largest(relative), '%', 'the same, worst'),
-        _metric('standing_speed_rms_mps', _rms(speed[standing]), 'm/s',
+        metric('speed_error_worst_percent', _largest(relative), '%', 'the same, worst'),
+        metric('standing_speed_rms_mps', _rms(speed[standing]), 'm/s',
                 'estimated speed while standing still, rms'),
-        _metric('standing_speed_max_mps', _largest(speed[standing]), 'm/s', 'the same, largest')]
+        metric('standing_speed_max_mps', _largest(speed[standing]), 'm/s', 'the same, largest')]
 
 
 def twist_metrics(stamps_ns: Stamps, values: Array, truth: Trajectory,
@@ -222,135 +221,10 @@ def twist_metrics(stamps_ns: Stamps, values: Array, truth: Trajectory,
     share = 100.0 * np.mean(np.abs(error) <= 2.0 * sigma, axis=0) if len(error) else np.full(
         3, np.nan)
     return [
-        _metric('twist_rmse_mps', _rms(np.hypot(error[:, 0], error[:, 1])), 'm/s',
+        metric('twist_rmse_mps', _rms(np.hypot(error[:, 0], error[:, 1])), 'm/s',
                 'velocity.csv: vx and vy of base_link, rms'),
-        _metric('twist_rmse_degps', _rms(np.rad2deg(error[:, 2])), 'deg/s',
+        metric('twist_rmse_degps', _rms(np.rad2deg(error[:, 2])), 'deg/s',
                 'velocity.csv: wz, rms'),
-        *(_metric(f'within_2_sigma_{name}_percent', value, '%',
+        *(metric(f'within_2_sigma_{name}_percent', value, '%',
                   f'velocity.csv: {name} within two standard deviations (95 is honest)')
           for name, value in zip(('vx', 'vy', 'wz'), share))]
-
-
-@dataclass(frozen=True, eq=False)
-class Relations:
-    """
-    Relative poses of the laser between pairs of scans, the truth of the SLAM benchmark.
-
-    Attributes
-    ----------
-    first_ns, second_ns
-        (n,) stamps of the scans.
-    poses
-        (n, 3) pose of the laser at the second stamp seen from that at the first.
-
-    """
-
-    first_ns: Stamps
-    second_ns: Stamps
-    poses: Array
-
-
-def read_relations(path: Path) -> Relations:
-    """
-    Read a table with the columns t1,t2,dx,dy,dyaw: seconds, seconds, metres, metres, radians.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file is missing or a line does not hold five numbers.
-
-    """
-    try:
-        header, *lines = path.read_text(encoding='utf-8').splitlines() or ['']
-    except OSError as error:
-        raise TrajectoryError(f'{path}: {error.strerror}') from None
-    if header.replace(' ', '') != 't1,t2,dx,dy,dyaw':
-        raise TrajectoryError(f'{path}:1: want the header "t1,t2,dx,dy,dyaw", '
-                              f'got "{header[:60]}"')
-    stamps, poses = [], []
-    for number, line in enumerate(lines, start=2):
-        try:
-            first, second, *pose = line.split(',')
-            stamps.append([_nanoseconds(first), _nanoseconds(second)])
-            poses.append([float(v) for v in pose])
-            if len(pose) != 3 or not np.all(np.isfinite(poses[-1])):
-                raise ValueError
-        except ValueError:
-            raise TrajectoryError(f'{path}:{number}: want "t1,t2,dx,dy,dyaw", '
-                                  f'got "{line[:60]}"') from None
-    pairs = np.array(stamps, dtype=np.int64).reshape(-1, 2)
-    return Relations(pairs[:, 0], pairs[:, 1], np.array(poses).reshape(-1, 3))
-
-
-def _nanoseconds(seconds: str) -> int:
-    whole, _, decimals = seconds.strip().partition('.')
-    return int(whole) * 10**9 + int(f'{decimals:0<9}'[:9])
-
-
-def relation_errors(
-    estimate: Trajectory, relations: Relations, mount: ArrayLike,
-) -> tuple[Array, Array]:
-    """
-    Return the error of every relation: the estimate's relative pose minus the true one.
-
-    Parameters
-    ----------
-    estimate
-        Poses of base_link.
-    relations
-        Relative poses of the laser.
-    mount
-        (3,) pose (x, y, yaw) of the laser in base_link.
-
-    Returns
-    -------
-    translation, rotation : Array
-        (n,) metres and radians, not negative; NaN where the estimate lacks one of the stamps.
-
-    """
-    laser = [geometry.compose(_at_scans(estimate, stamps), mount)
-             for stamps in (relations.first_ns, relations.second_ns)]
-    relative = geometry.compose(geometry.inverse(laser[0]), laser[1])
-    error = geometry.compose(geometry.inverse(relations.poses), relative)
-    return np.hypot(error[:, 0], error[:, 1]), np.abs(geometry.wrap_angle(error[:, 2]))
-
-
-def _at_scans(trajectory: Trajectory, stamps_ns: Stamps) -> Array:
-    """Return poses at stamps that a table rounded to microseconds, the ends' too."""
-    if len(trajectory) == 0:
-        return np.full((len(stamps_ns), 3), np.nan)
-    inside = np.clip(stamps_ns, trajectory.stamps_ns[0], trajectory.stamps_ns[-1])
-    poses = trajectory.at(inside, MAX_TRUTH_GAP)
-    poses[np.abs(inside - stamps_ns) > 1_000_000] = np.nan
-    return poses
-
-
-def relation_metrics(
-    estimate: Trajectory, relations: Relations, mount: ArrayLike,
-) -> list[Metric]:
-    """
-    Return mean errors of the local relations (under `LOCAL` seconds apart) and of all.
-
-    Raises
-    ------
-    TrajectoryError
-        If the estimate covers none of them.
-
-    """
-    translation, rotation = relation_errors(estimate, relations, mount)
-    covered = np.isfinite(translation)
-    if not np.any(covered):
-        raise TrajectoryError(f'the estimate ({_span(estimate)}) covers none of the '
-                              f'{len(relations.poses)} relations')
-    local = covered & (np.abs(relations.second_ns - relations.first_ns) < LOCAL * 1e9)
-    metrics = []
-    for name, which, words in (('local', local, f'relations under {LOCAL:g} s apart'),
-                               ('all', covered, 'all relations')):
-        t, r = translation[which], np.rad2deg(rotation[which])
-        metrics += [
-            _metric(f'relations_{name}', len(t), '', f'{words}: number covered'),
-            _metric(f'relations_{name}_mean_m', t.mean() if len(t) else np.nan, 'm',
-                    f'{words}: mean translational error'),
-            _metric(f'relations_{name}_mean_deg', r.mean() if len(r) else np.nan, 'deg',
-                    f'{words}: mean rotational error')]
-    return metrics

@@ -81,6 +81,7 @@ class MotionWriter:
     def __init__(self, folder: Path) -> None:
         """Begin both files."""
         self.count = 0
+        self.observed = 0                # estimates in which all of the motion was observable
         self._trajectory = (folder / TRAJECTORY_NAME).open('w', encoding='utf-8')
         self._velocity = (folder / VELOCITY_NAME).open('w', encoding='utf-8')
         self._velocity.write(VELOCITY_HEADER + '\n')
@@ -108,6 +109,7 @@ class MotionWriter:
             self._velocity.write(velocity_line(estimate) + '\n')
             self._note_degenerate(estimate)
             self.count += 1
+            self.observed += not estimate.degenerate
         self._trajectory.flush()
         self._velocity.flush()
 
@@ -271,13 +273,14 @@ def _remarks(summary: Mapping[str, Any]) -> list[str]:
     """Return one line for each figure that a user should know of before trusting the rest."""
     remarks = []
     for scanner in summary['scanners']:
-        for key, what in (('lost_scans', 'scans are missing'),
-                          ('malformed_scans', 'malformed scans were left out'),
-                          ('backwards_scans', 'scans whose stamp ran backwards were left out'),
-                          ('scans_without_return', 'scans hit nothing')):
-            if scanner[key]:
-                remarks.append(f'{scanner["name"]}: {scanner[key]} of '
-                               f'{scanner["scans"] + scanner[key]} {what}')
+        remarks += [f'{scanner["name"]}: {scanner[key]} {what} beside {scanner["scans"]} good ones'
+                    for key, what in (('lost_scans', 'scans are missing'),
+                                      ('malformed_scans', 'malformed scans were left out'),
+                                      ('backwards_scans', 'scans whose stamp ran backwards were '
+                                       'left out')) if scanner[key]]
+        if scanner['scans_without_return']:
+            remarks.append(f'{scanner["name"]}: {scanner["scans_without_return"]} of '
+                           f'{scanner["scans"]} scans hit nothing')
     if summary.get('degenerate_s', 0.0) >= 0.05:
         remarks.append(f'for {summary["degenerate_s"]:.1f} s the surroundings did not tell the '
                        'motion; it was carried on from before')

@@ -72,23 +72,22 @@ class Trajectory:
 
         """
         t = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
-        out = np.full((len(t), 3), np.nan)
-        if len(self) < 2:
+        if len(self) < 2 or len(t) == 0:
+            out = np.full((len(t), 3), np.nan)
             out[np.isin(t, self.stamps_ns)] = self.poses[:1]
             return out
         k = np.clip(np.searchsorted(self.stamps_ns, t, side='right') - 1, 0, len(self) - 2)
         start, stop = self.stamps_ns[k], self.stamps_ns[k + 1]
+        # one step for every pair of poses, not for every ray: rays are many times more
+        first = k.min()
+        poses = self.poses[first:k.max() + 2]
+        step = geometry.log(geometry.compose(geometry.inverse(poses[:-1]), poses[1:]))
+        fraction = (t - start) / (stop - start)
+        k -= first
+        out = geometry.compose(poses[k], geometry.exp(fraction[:, None] * step[k]))
         known = (start <= t) & (t <= stop) & (
             (stop - start <= max_gap * 1e9) | (t == start) | (t == stop))
-        if not np.any(known):
-            return out
-        k = k[known]
-        # one step for every pair of poses, not for every ray: rays are many times more
-        poses = self.poses[k.min():k.max() + 2]
-        step = geometry.log(geometry.compose(geometry.inverse(poses[:-1]), poses[1:]))
-        fraction = (t[known] - start[known]) / (stop - start)[known]
-        twist = fraction[:, None] * step[k - k.min()]
-        out[known] = geometry.compose(self.poses[k], geometry.exp(twist))
+        out[~known] = np.nan
         return out
 
     @property

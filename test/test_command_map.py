@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import json
 from pathlib import Path
+import shutil
 import signal
 from typing import Any
 
@@ -14,6 +15,7 @@ import laspy
 from live import CAMPUS, cut_bag
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from stri_mapping import geometry
 from stri_mapping.bag_io import Bag
@@ -91,26 +93,32 @@ def test_columns_stand_six_metres_apart(results: Path, truth: Trajectory) -> Non
     np.testing.assert_allclose(centres, 6.0 * np.arange(1, 8), atol=0.3)
 
 
-def test_errors_against_the_truth_in_the_bag(bag: Path, results: Path,
+def errors_of(results: Path, folder: Path, *arguments: object) -> dict[str, Any]:
+    """Evaluate a copy of the results, their report left out, and return what was found."""
+    folder.mkdir()
+    for name in ('trajectory.tum', 'velocity.csv', 'summary.json'):
+        shutil.copy(results / name, folder)
+    assert main(['evaluate', str(folder), *map(str, arguments)]) == 0
+    return dict(json.loads((folder / 'evaluation.json').read_text())['errors'])
+
+
+def test_errors_against_the_truth_in_the_bag(bag: Path, results: Path, tmp_path: Path,
                                              capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['evaluate', str(results), '--truth', str(bag)]) == 0
-    errors = json.loads((results / 'evaluation.json').read_text())['errors']
+    errors = errors_of(results, tmp_path / 'evaluated', '--truth', bag)
     # what the best scan matchers reach on such a drive (docs/method.md): 0.52 %, 0.043 m/s, 8.9 %
     assert errors['drift_percent'] < 0.52
     assert errors['velocity_rmse_mps'] < 0.043
     assert errors['speed_error_worst_percent'] < 8.9
     assert errors['standing_speed_rms_mps'] is None
     assert 'percent of the distance' in capsys.readouterr().out
-    assert 'Errors against' in (results / 'report.html').read_text(encoding='utf-8')
+    assert not (tmp_path / 'evaluated' / 'report.html').exists()
 
 
 def test_errors_are_the_same_against_a_tum_file(bag: Path, results: Path, truth: Trajectory,
                                                 tmp_path: Path) -> None:
-    found = []
     write_tum(tmp_path / 'truth.tum', truth)
-    for source in (bag, tmp_path / 'truth.tum'):
-        assert main(['evaluate', str(results), '--truth', str(source), '--window', '0.4']) == 0
-        found.append(json.loads((results / 'evaluation.json').read_text())['errors'])
+    found = [errors_of(results, tmp_path / source.stem, '--truth', source, '--window', 0.4)
+             for source in (bag, tmp_path / 'truth.tum')]
     assert found[0] == pytest.approx(found[1], abs=1e-5)          # 9 decimals in the text
     assert found[0]['distance_m'] > 50.0
 
@@ -124,8 +132,7 @@ def test_errors_against_relations_of_the_laser(results: Path, truth: Trajectory,
         first, second = truth.stamps_ns[[i, i + 200]] * 1e-9
         lines.append(f'{first:.6f},{second:.6f},{dx:.6f},{dy:.6f},{dyaw:.6f}')
     (tmp_path / 'relations.csv').write_text('\n'.join(lines) + '\n')
-    assert main(['evaluate', str(results), '--truth', str(tmp_path / 'relations.csv')]) == 0
-    errors = json.loads((results / 'evaluation.json').read_text())['errors']
+    errors = errors_of(results, tmp_path / 'evaluated', '--truth', tmp_path / 'relations.csv')
     assert errors['relations_local'] == errors['relations_all'] == len(lines) - 1
     # 2 s apart, that is 10 to 16 m: half a percent, and as much heading as that
     assert errors['relations_local_mean_m'] < 0.08
@@ -148,7 +155,6 @@ def test_one_horizontal_scanner_alone_gives_motion_and_no_facade(tmp_path: Path,
 
 def rewritten(source: Path, target: Path, change: Callable[[str, bytes], bytes | None]) -> Path:
     """Copy a bag, each message as `change` returns it, None for none."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
     with Bag(source) as reader, Writer(target, version=9,
                                        storage_plugin=StoragePlugin.MCAP) as out:
         made: dict[str, Any] = {}
@@ -188,7 +194,7 @@ def test_a_bag_that_breaks_off_keeps_what_is_done(tmp_path: Path,
     broken.mkdir()
     content = bytearray((CAMPUS / 'campus.mcap').read_bytes())
     middle = len(content) // 4
-    content[middle:middle + 2000] = bytes(2000)                  # a bad sector
+    content[middle:middle + 100_000] = bytes(100_000)            # more than a chunk
     (broken / 'campus.mcap').write_bytes(content)
     (broken / 'metadata.yaml').write_bytes((CAMPUS / 'metadata.yaml').read_bytes())
     assert main(['map', str(broken), '--output', str(tmp_path / 'out')]) == 1
@@ -206,3 +212,11 @@ def check_partial(folder: Path, message: str) -> None:
     assert len(read_tum(folder / 'trajectory.tum')) == summary['poses']
     assert laspy.read(folder / 'facade.laz').header.point_count == summary['points']
     assert message in (folder / 'report.html').read_text(encoding='utf-8')
+
+
+def test_evaluating_renews_a_report_that_is_there(bag: Path, results: Path,
+                                                  tmp_path: Path) -> None:
+    folder = tmp_path / 'copy'
+    shutil.copytree(results, folder, ignore=shutil.ignore_patterns('facade*', 'range*'))
+    assert main(['evaluate', str(folder), '--truth', str(bag)]) == 0
+    assert 'Errors against ten_seconds' in (folder / 'report.html').read_text(encoding='utf-8')

@@ -18,13 +18,10 @@ from stri_mapping.metrics import (
     displacements,
     Metric,
     path_metrics,
-    read_relations,
-    relation_errors,
-    relation_metrics,
-    Relations,
     speed_metrics,
     twist_metrics,
 )
+from stri_mapping.relations import read_relations, relation_errors, relation_metrics, Relations
 from stri_mapping.trajectory import Trajectory
 
 S = 10**9

@@ -228,7 +228,7 @@ def test_summary_gathers_facts_of_several_writers(tmp_path: Path) -> None:
     assert summary['scanners'][1]['point_source_id'] == 2
     assert summary['scanners'][0]['mount']['rpy'] == pytest.approx([0.0, 0.0, np.pi / 2])
     assert summary['warnings'][:2] == ['first', 'second']
-    assert 'horizontal: 1 of 50 scans are missing' in summary['warnings']
+    assert 'horizontal: 1 scans are missing beside 49 good ones' in summary['warnings']
 
 
 def test_a_summary_that_is_no_json_object_is_refused(tmp_path: Path) -> None:

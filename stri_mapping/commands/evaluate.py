@@ -97,13 +97,8 @@ def _mount(args: argparse.Namespace) -> NDArray[np.float64]:
 def _metrics(
     estimate: Trajectory, args: argparse.Namespace, mount: NDArray[np.float64],
 ) -> list[Metric]:
-    from stri_mapping.metrics import (
-        path_metrics,
-        read_relations,
-        relation_metrics,
-        speed_metrics,
-        twist_metrics,
-    )
+    from stri_mapping.metrics import path_metrics, speed_metrics, twist_metrics
+    from stri_mapping.relations import read_relations, relation_metrics
     from stri_mapping.results import read_velocity, VELOCITY_NAME
 
     if args.truth.suffix == '.csv':

@@ -107,9 +107,9 @@ def _map(
     finally:
         with console.status('Writing the cloud'):
             mapper.finish()
-    if failure is None and mapper.poses == 0:
+    if failure is None and not mapper.moved:
         failure = StriMappingError(f'{bag.path}: {vehicle.horizontal.topic} gave no motion: too '
-                                   'few scans, or none that hit anything')
+                                   'few scans, or too little in their view')
     facts = {'source': str(bag.path), 'complete': failure is None, **mapper.facts(bag.counts),
              'messages': messages + ([str(failure) or 'interrupted'] if failure else [])}
     summary = write_summary(folder, facts)

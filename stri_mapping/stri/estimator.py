@@ -191,8 +191,8 @@ class StriEstimator:
         ranges = np.where(scan.valid, scan.ranges, np.nan)
         if moves is not None:
             ranges[moves] = np.nan
-        order = slice(None, None, 1 if self._handed * scan.angles[-1] > self._handed
-                      * scan.angles[0] else -1)
+        rising = not len(scan) or self._handed * (scan.angles[-1] - scan.angles[0]) > 0.0
+        order = slice(None, None, 1 if rising else -1)
         return scan.stamp_ns * 1e-9, self._handed * scan.angles[order], ranges[order]
 
     def _prepare(self, scan: Scan, labels: Labels) -> tuple[Array, float, float]:

@@ -55,6 +55,9 @@ def propose(
         Mean capped difference of ranges in metres at that twist; `CAP` where nothing overlaps.
 
     """
+    profiles = [p for p in profiles if len(p[1]) > 1]       # a scan may come without rays
+    if len(profiles) < 2:
+        return np.zeros(3), CAP
     ranges = np.full((len(profiles), max(len(r) for _, _, r in profiles)), np.nan)
     for row, (_, _, r) in zip(ranges, profiles):
         row[:len(r)] = np.where(r < FAR, r, np.nan)

@@ -1,0 +1,106 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Errors and cost of the estimator over scenes and seeds of the virtual vehicle, as a table.
+
+Judged at the horizontal scanner in the plane, its true path from the full six degrees of
+freedom: pitch moves a scanner 1.2 m up against base_link, and that is motion it rightly sees.
+
+    python benchmarks/estimator.py street corner --seeds 1 2 3
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping import geometry
+from stri_mapping.metrics import path_metrics, speed_metrics
+from stri_mapping.scan import Scan
+from stri_mapping.simulation.drive import Drive, make_drive, START_NS
+from stri_mapping.simulation.scenes import Options
+from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
+from stri_mapping.stri.joint import JointConfig
+from stri_mapping.trajectory import Trajectory
+from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Vehicle
+
+Array = NDArray[np.float64]
+SCENES = ('campus', 'street', 'corner', 'reverse', 'stops', 'bare_wall')
+COLUMNS = ('drift_percent', 'heading_end_deg', 'velocity_rmse_mps', 'speed_error_worst_percent',
+           'standing_speed_max_mps')
+
+
+def scanner_truth(drive: Drive) -> Trajectory:
+    """Return the true path of the horizontal scanner in the plane."""
+    t = drive.truth_times()
+    poses = drive.scene.motion.at(t)
+    mount = drive.vehicle.horizontal.T_base_laser
+    T = np.array([geometry.transform(p[:3], p[3:]) @ mount for p in poses])
+    yaw = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    stamps = START_NS + np.round(1e9 * t).astype(np.int64)
+    return Trajectory(stamps, np.column_stack([T[:, :2, 3], yaw]))
+
+
+def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
+        Trajectory, list[float], float]:
+    """Return the scanner's final path, the seconds each scan took, and seconds not observable."""
+    estimator = StriEstimator(mount, config)
+    taken, final = [], []
+    for scan in scans:
+        began = time.perf_counter()
+        estimator.add(scan)
+        final += estimator.take_refined()
+        taken.append(time.perf_counter() - began)
+    estimator.finish()
+    final += estimator.take_refined()
+    x_axis = mount[:2, 0]
+    planar = np.array([*mount[:2, 3], np.arctan2(x_axis[1], x_axis[0])])
+    stamps = np.array([e.stamp_ns for e in final], dtype=np.int64)
+    poses = geometry.compose(np.array([e.pose for e in final]), planar)
+    blind = float(np.diff(stamps)[[e.degenerate for e in final[1:]]].sum()) * 1e-9
+    return Trajectory(stamps, poses), taken, blind
+
+
+def run(scene: str, seed: int, config: EstimatorConfig) -> tuple[dict[str, float], list[float]]:
+    """Return the figures of one drive by name, and the seconds of every scan."""
+    vehicle = load_vehicle(default_vehicle_file())
+    alone = Vehicle((vehicle.horizontal,))
+    drive = make_drive(scene, Options(seed), vehicle=alone)
+    scans = [timed.scan for timed in drive.scans()]
+    path, taken, blind = estimate(scans, vehicle.horizontal.T_base_laser, config)
+    truth = scanner_truth(drive)
+    metrics = {m.name: m.value for m in (*path_metrics(path, truth), *speed_metrics(path, truth))}
+    figures = {name: np.nan if metrics[name] is None else float(metrics[name] or 0.0)
+               for name in COLUMNS}
+    return {**figures, 'blind_s': blind}, taken
+
+
+def main() -> None:
+    """Print one row a drive, and the distribution."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('scenes', nargs='*', default=list(SCENES))
+    parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
+    parser.add_argument('--no-range-error', action='store_true',
+                        help='do not learn the pull of slanted footprints')
+    args = parser.parse_args()
+    config = EstimatorConfig(joint=JointConfig(learn_error=not args.no_range_error))
+    StriEstimator(np.eye(4), config).warm_up()
+    print('| drive | drift % | heading deg | velocity rmse m/s | worst speed % | standing m/s '
+          '| not observable s | ms a scan, mean (longest) |\n|---|---|---|---|---|---|---|---|')
+    drifts = []
+    for scene in args.scenes:
+        for seed in args.seeds:
+            figures, taken = run(scene, seed, config)
+            drifts.append(figures['drift_percent'])
+            values = ' | '.join('-' if np.isnan(v) else f'{v:.3g}' for v in figures.values())
+            print(f'| {scene} {seed} | {values} | {1e3 * np.mean(taken):.2f} '
+                  f'({1e3 * max(taken):.0f}) |', flush=True)
+    print(f'\ndrift of {len(drifts)} drives: median {np.median(drifts):.2f} %, '
+          f'95th percentile {np.percentile(drifts, 95):.2f} %')
+
+
+if __name__ == '__main__':
+    main()
