@@ -39,7 +39,8 @@ def write_motion(folder: Path, yaw_rate: float = 0.0) -> Trajectory:
     write_summary(folder, {'source': 'street/bag', **motion.facts(), 'scanners': [
         {'name': 'horizontal', 'role': 'horizontal', 'topic': '/scan', 'scans': 240,
          'lost_scans': 3, 'malformed_scans': 0, 'backwards_scans': 0,
-         'scans_without_return': 0}], 'messages': ['<b>sharp & odd</b>']})
+         'scans_without_return': 0, 'mount': {'xyz': [0.0, 0.6, 1.2], 'rpy': [0.0, 0.0, 1.57]}}],
+        'messages': ['<b>sharp & odd</b>']})
     return path
 
 

@@ -70,6 +70,8 @@ def propose(
     for every in (3, 1):
         costs = _costs(ranges, first, step, times, pairs, mount, fine_speeds, fine_turns,
                        every)
+        # where nothing decides, rather slow than fast
+        costs += 1e-5 * np.abs(fine_speeds)[:, None] + 1e-5 * np.abs(fine_turns)
         best, cost = np.unravel_index(int(np.argmin(costs)), costs.shape), float(costs.min())
         speed, turn = float(fine_speeds[best[0]]), float(fine_turns[best[1]])
         around = np.linspace(-1.0, 1.0, 2 * REFINE + 1)
