@@ -167,14 +167,12 @@ class JointPath:
 
     def pose(self, t: float) -> Array:
         """Return the pose (3,) at a time; just beyond the newest knot it is extrapolated."""
-        self._extrapolate()
         pose = np.empty(3)
         pose_at(self.knots, self.h, t, np.empty(4), pose)
         return pose
 
     def velocity(self, t: float) -> Array:
         """Return the velocity (3,) at a time, in the frame of the first scan."""
-        self._extrapolate()
         velocity = np.empty(3)
         velocity_at(self.knots, self.h, t, velocity)
         return velocity
@@ -218,6 +216,7 @@ class JointPath:
             for slot in stale:
                 window.build(slot, self.knots)
             window.pairs.renew(stale)
+        self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self.uncertainty.speed(self.step * self.h)
         self.trust.update(self.sigma < CERTAIN)

@@ -124,9 +124,8 @@ class Uncertainty:
 
     def _spread(self, k: int, weights: Array) -> Array:
         at = 3 * (k - self.first)
-        jacobian = np.kron(weights, np.eye(3))
-        return np.asarray(
-            jacobian @ self._covariance[at:at + 12, at:at + 12] @ jacobian.T)
+        block = self._covariance[at:at + 12, at:at + 12]
+        return np.asarray(weights @ (weights @ block.reshape(4, 36)).reshape(3, 4, 3))
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
