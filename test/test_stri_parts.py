@@ -1,0 +1,229 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator's parts: surfaces, spline, lines, residuals, proposals, trust, range error."""
+
+import numpy as np
+import pytest
+
+from stri_mapping import geometry
+from stri_mapping.scan import Scan
+from stri_mapping.stri import keyframe, pairs
+from stri_mapping.stri.proposal import cost_of, propose
+from stri_mapping.stri.range_error import RangeError
+from stri_mapping.stri.range_image import RangeImage, RangeImageLog
+from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
+from stri_mapping.stri.spline import pose_at, velocity_at
+from stri_mapping.stri.trust import LABELS, NEW, Trust
+
+ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
+H = 0.1
+
+
+def look(pose, walls, noise=0.0, rng=None):
+    """Ranges (181,) from a pose to segments (x0, y0, x1, y1), exact but for Gaussian noise."""
+    bearing = ANGLES + pose[2]
+    ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    ranges = np.full(len(ANGLES), np.inf)
+    for x0, y0, x1, y1 in walls:
+        start, along = np.array([x0, y0]) - pose[:2], np.array([x1 - x0, y1 - y0])
+        with np.errstate(divide='ignore', invalid='ignore'):
+            cross = ray[:, 0] * along[1] - ray[:, 1] * along[0]
+            r = (start[0] * along[1] - start[1] * along[0]) / cross
+            u = (start[0] * ray[:, 1] - start[1] * ray[:, 0]) / cross
+        hit = (r > 0.0) & (u >= 0.0) & (u <= 1.0)
+        ranges = np.where(hit & (r < ranges), r, ranges)
+    return ranges + (noise * rng.standard_normal(len(ranges)) if noise else 0.0)
+
+
+# A wall 8 m to the left of a drive along x, and columns of half a metre in front of it.
+WALL = [(-60.0, 8.0, 60.0, 8.0)]
+COLUMNS = [s for x in np.arange(-48.0, 48.0, 6.0) for s in (
+    (x, 6.0, x + 0.5, 6.0), (x, 6.0, x, 6.5), (x + 0.5, 6.0, x + 0.5, 6.5))]
+LEFT = np.array([0.0, 0.0, np.pi / 2])       # mount: the scanner looks left
+
+
+def scan_at(t, base, walls, **noise):
+    pose = geometry.compose(base, LEFT)
+    ranges = look(pose, walls, **noise)
+    return Scan(round(1e9 * t), ranges, ANGLES, np.zeros(len(ANGLES)), range_max=80.0)
+
+
+def surfels_of(pose, walls, rng):
+    """Surfels of a keyframe merged from 15 noisy scans taken at one pose (scanner frame)."""
+    knots = np.zeros((8, 3))
+    rays = np.empty((15 * 181, 5))
+    n = 0
+    for _ in range(15):
+        ranges = look(pose, walls, 0.01, rng)
+        n += keyframe.prepare(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0,
+                              rays[n:])
+    surfels = np.empty((2048, keyframe.SURFEL))
+    bins = np.empty(keyframe.BINS + 1, np.int32)
+    count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins)
+    return surfels, count, bins
+
+
+def test_a_wall_at_grazing_incidence_is_one_surface_and_a_column_another():
+    labels = Segmenter().segment(scan_at(0.0, np.zeros(3), WALL + [(-0.5, 6.0, 0.5, 6.0)]))
+    seen = [int(v) for v in dict.fromkeys(labels.tolist()) if v != UNLABELLED]
+    # the wall before the column, the column, the wall behind it
+    assert len(seen) == 3
+    column = labels == labels[90]
+    assert 7 <= column.sum() <= 11              # 1 m at 6 m is 9.5 rays
+
+
+def test_surfaces_keep_their_number_while_they_pass():
+    segmenter = Segmenter()
+    segmenter.segment(scan_at(0.0, np.zeros(3), WALL + [(2.0, 6.0, 3.0, 6.0)]))
+    first = None
+    for k in range(60):
+        labels = segmenter.segment(
+            scan_at(0.0, np.array([0.07 * k, 0.0, 0.0]), WALL + [(2.0, 6.0, 3.0, 6.0)]))
+        bearing = np.arctan2(2.5 - 0.07 * k, 6.0)
+        label = labels[90 - round(np.rad2deg(bearing))]
+        first = label if first is None else first
+        assert label == first
+
+
+def test_the_spline_reproduces_constant_motion_and_its_derivative():
+    knots = np.arange(12)[:, None] * H * np.array([5.0, -1.0, 0.3])
+    pose, rate = np.empty(3), np.empty(3)
+    for t in (0.0, 0.234, 0.75):
+        pose_at(knots, H, t, np.empty(4), pose)
+        velocity_at(knots, H, t, rate)
+        # coefficient k belongs to time (k - 1) h
+        np.testing.assert_allclose(pose, (t + H) * np.array([5.0, -1.0, 0.3]), atol=1e-12)
+        np.testing.assert_allclose(rate, [5.0, -1.0, 0.3], atol=1e-9)
+
+
+def test_velocity_is_the_derivative_of_the_pose():
+    knots = np.random.default_rng(5).normal(size=(12, 3))
+    before, after, rate = np.empty(3), np.empty(3), np.empty(3)
+    for t in (0.11, 0.37, 0.655):
+        pose_at(knots, H, t - 1e-6, np.empty(4), before)
+        pose_at(knots, H, t + 1e-6, np.empty(4), after)
+        velocity_at(knots, H, t, rate)
+        np.testing.assert_allclose(rate, (after - before) / 2e-6, atol=1e-6)
+
+
+def test_surfels_lie_on_the_wall_with_its_normal():
+    surfels, count, _ = surfels_of(LEFT, WALL, np.random.default_rng(2))
+    found = surfels[:count]
+    assert count > 300
+    # the scanner's x axis points at the wall: it is at x = 8 there, its normal points back.
+    # 0.8 m of a wall 8 m away hold at least 50 points of 1 cm: 1.4 mm, five of that and the
+    # quantiles of 300 surfels
+    near = np.abs(found[:, keyframe.Y]) < 5.0
+    assert np.abs(found[near, keyframe.X] - 8.0).max() < 0.012
+    assert np.all(found[near, keyframe.NX] < -0.99)
+    assert np.all(np.diff(found[:, keyframe.S_BEARING]) >= 0.0)
+
+
+@pytest.mark.parametrize('shift', [(0.02, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.002)])
+def test_one_linearisation_finds_a_small_relative_pose(shift):
+    rng = np.random.default_rng(3)
+    shift = np.array(shift)
+    a, count_a, _ = surfels_of(geometry.compose(LEFT, shift), WALL + COLUMNS, rng)
+    b, count_b, bins = surfels_of(LEFT, WALL + COLUMNS, rng)
+    hessian, gradient, votes = np.empty((3, 3)), np.empty(3), np.zeros((LABELS, 2))
+    z = np.zeros(3)
+    for _ in range(4):
+        pairs.linearise(a, count_a, b, count_b, bins, z, 0.1, 0, 1, 0.0, np.ones(LABELS),
+                        np.array([0.0, -1.0]), hessian, gradient, votes)
+        z -= np.linalg.solve(hessian, gradient)
+    # hundreds of residuals of a few millimetres towards the wall; along it only the columns'
+    # sides tell, half a dozen faces with a few rays of 1 cm each: three standard deviations
+    assert z[0] == pytest.approx(shift[0], abs=0.004)
+    assert z[1] == pytest.approx(shift[1], abs=0.020)
+    assert z[2] == pytest.approx(shift[2], abs=0.0006)
+    assert votes[0, 0] > 0.6 * votes[0, 1] > 0.0
+
+
+def test_a_bare_wall_tells_nothing_along_itself():
+    rng = np.random.default_rng(4)
+    a, count_a, _ = surfels_of(LEFT, WALL, rng)
+    b, count_b, bins = surfels_of(LEFT, WALL, rng)
+    hessian, gradient = np.empty((3, 3)), np.empty(3)
+    pairs.linearise(a, count_a, b, count_b, bins, np.zeros(3), 0.1, 0, 1, 0.0, np.ones(LABELS),
+                    np.zeros(2), hessian, gradient, np.zeros((LABELS, 2)))
+    across, along = hessian[0, 0], hessian[1, 1]
+    assert along < 1e-3 * across
+
+
+@pytest.mark.parametrize(('speed', 'turn'), [(8.0, 0.0), (-3.0, 0.0), (0.0, 0.0), (5.0, 0.35)])
+def test_the_range_image_tells_speed_and_turn_rate(speed, turn):
+    rng = np.random.default_rng(6)
+    profiles = []
+    for k in range(46):
+        t = 0.01332 * k
+        base = geometry.exp(t * np.array([speed, 0.0, turn]))
+        scan = scan_at(t, base, WALL + COLUMNS, noise=0.01, rng=rng)
+        profiles.append((t, ANGLES, scan.ranges))
+    twist, cost = propose(profiles, LEFT)
+    assert twist[0] == pytest.approx(speed, abs=0.25)
+    assert twist[2] == pytest.approx(turn, abs=0.06)
+    assert cost < 0.7 * cost_of(profiles, LEFT, twist + [2.0, 0.0, 0.0])
+
+
+def test_without_anything_to_see_the_proposal_is_to_stand():
+    profiles = [(0.01 * k, ANGLES, np.full(181, np.nan)) for k in range(50)]
+    twist, _ = propose(profiles, LEFT)
+    np.testing.assert_allclose(twist, 0.0, atol=1e-9)
+
+
+def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
+    pull, rng, error = 4e-5, np.random.default_rng(7), RangeError()
+    for k in range(60):
+        ranges = look(LEFT, WALL)
+        slant = 8.0 * np.tan(ANGLES[1:-1]) / np.cos(ANGLES[1:-1])
+        ranges[1:-1] -= pull * slant ** 2
+        rays = np.empty((15 * 181, 5))
+        n = 0
+        for _ in range(15):
+            n += keyframe.prepare(ranges + 0.01 * rng.standard_normal(181), ANGLES,
+                                  np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
+        surfels = np.empty((2048, keyframe.SURFEL))
+        count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
+                               surfels, np.empty(keyframe.BINS + 1, np.int32))
+        error.learn(surfels[:count], 0.5 * k)
+    # the prior holds it back where walls tell little; here they tell much
+    assert error.value == pytest.approx(pull, rel=0.25)
+
+
+def test_a_surface_earns_trust_and_loses_it_as_a_whole():
+    trust = Trust()
+    trust.add(1, np.array([-1], dtype=np.int32))
+    assert trust.weight[0] == NEW
+    for _ in range(8):
+        trust.votes[:] = 0.0
+        trust.votes[0] = 9.0, 10.0
+        trust.update(certain=True)
+    assert trust.weight[0] > 0.95
+    # what splits off it is trusted as it is
+    trust.add(2, np.array([0], dtype=np.int32))
+    assert trust.weight[1] == trust.weight[0]
+    for certain, condemned in ((False, False), (True, True)):
+        for _ in range(8):
+            trust.votes[:] = 0.0
+            trust.votes[0] = 0.5, 10.0
+            trust.update(certain)
+        assert bool(trust.weight[0] < 0.03) == condemned
+    trust.pardon()
+    assert trust.weight[0] < 0.03 and trust.weight[1] == 1.0
+
+
+def test_the_range_image_slides_and_the_log_thins(tmp_path):
+    window, log = RangeImage(1.0), RangeImageLog(capacity=100)
+    for k in range(1000):
+        scan = scan_at(0.01332 * k, np.zeros(3), WALL)
+        labels = np.zeros(181, np.int32)
+        window.append(scan, labels)
+        log.append(scan, labels)
+    assert len(window) == 76                    # one second at 13.32 ms, both ends
+    assert window.picture().shape == (76, 181)
+    assert window.segment_picture().shape == (76, 181, 3)
+    log.save(tmp_path / 'image.npz')
+    with np.load(tmp_path / 'image.npz') as image:
+        assert 50 <= len(image['stamps_ns']) <= 100
+        assert image['ranges'].shape == image['segments'].shape == (len(image['stamps_ns']), 181)
+        assert image['stamps_ns'][-1] > 0.9 * 999 * 13_320_000
