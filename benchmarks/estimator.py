@@ -56,10 +56,9 @@ def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
         taken.append(time.perf_counter() - began)
     estimator.finish()
     final += estimator.take_refined()
-    x_axis = mount[:2, 0]
-    planar = np.array([*mount[:2, 3], np.arctan2(x_axis[1], x_axis[0])])
     stamps = np.array([e.stamp_ns for e in final], dtype=np.int64)
-    poses = geometry.compose(np.array([e.pose for e in final]), planar)
+    poses = geometry.compose(np.array([e.pose for e in final]),
+                             geometry.planar_pose(mount))
     blind = float(np.diff(stamps)[[e.degenerate for e in final[1:]]].sum()) * 1e-9
     return Trajectory(stamps, poses), taken, blind
 

@@ -116,6 +116,12 @@ def transform(xyz: ArrayLike, rpy: ArrayLike) -> Array:
     return matrix
 
 
+def planar_pose(matrix: ArrayLike) -> Array:
+    """Return a 4x4 pose seen from above as (x, y, yaw), the yaw that of its x axis."""
+    m = np.asarray(matrix, dtype=float)
+    return np.array([m[0, 3], m[1, 3], np.arctan2(m[1, 0], m[0, 0])])
+
+
 def rotation_from_quat(quat_xyzw: ArrayLike) -> Array:
     """
     Return the 3x3 rotation of a quaternion (x, y, z, w), normalised first.

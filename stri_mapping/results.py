@@ -26,7 +26,7 @@ from stri_mapping.errors import StriMappingError, UsageError
 from stri_mapping.facade.cloud_files import count_points, LAZ_NAME, PLY_NAME
 from stri_mapping.scan import ScanCounts
 from stri_mapping.stri.estimate import Estimate
-from stri_mapping.trajectory import read_tum, tum_line
+from stri_mapping.trajectory import read_tum, stamp_text, tum_line
 from stri_mapping.vehicle import Scanner, Vehicle
 
 Array = NDArray[np.float64]
@@ -136,9 +136,8 @@ class MotionWriter:
 def velocity_line(estimate: Estimate) -> str:
     """Return one line of velocity.csv: twist of base_link, its standard deviations, quality."""
     sigmas = np.sqrt(np.diag(estimate.twist_covariance))
-    stamp = f'{estimate.stamp_ns // 10**9}.{estimate.stamp_ns % 10**9:09d}'
-    return ','.join([stamp, *(f'{v:.6f}' for v in (*estimate.twist, *sigmas)),
-                     f'{estimate.quality:.3f}'])
+    values = (f'{v:.6f}' for v in (*estimate.twist, *sigmas))
+    return ','.join([stamp_text(estimate.stamp_ns), *values, f'{estimate.quality:.3f}'])
 
 
 def read_velocity(path: Path) -> tuple[NDArray[np.int64], Array]:

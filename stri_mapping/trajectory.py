@@ -120,11 +120,16 @@ def constant_speed(trajectory: Trajectory) -> Trajectory:
     return Trajectory(trajectory.stamps_ns, poses)
 
 
+def stamp_text(stamp_ns: int) -> str:
+    """Return a stamp as seconds with 9 decimals, exact."""
+    return f'{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}'
+
+
 def tum_line(stamp_ns: int, pose: ArrayLike) -> str:
     """Return one TUM line, ``stamp x y z qx qy qz qw``, all with 9 decimals, stamp exact."""
     x, y, yaw = np.asarray(pose, dtype=float)
     values = (x, y, 0.0, *geometry.quat_from_yaw(yaw))
-    return f'{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} ' + ' '.join(f'{v:.9f}' for v in values)
+    return ' '.join([stamp_text(stamp_ns), *(f'{v:.9f}' for v in values)])
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -71,13 +71,7 @@ class Scanner:
         if abs(axis[2]) < np.cos(np.deg2rad(30.0)):
             raise VehicleError(f'scanner "{self.name}": role is horizontal, but its scan plane is '
                                f'tilted by {np.rad2deg(np.arccos(abs(axis[2]))):.0f} degrees')
-        x_axis = self.T_base_laser[:2, 0]
-        return np.array([*self.T_base_laser[:2, 3], np.arctan2(x_axis[1], x_axis[0])])
-
-    @property
-    def upside_down(self) -> bool:
-        """Whether the laser's z axis points down, so that bearings run clockwise from above."""
-        return bool(self.T_base_laser[2, 2] < 0.0)
+        return geometry.planar_pose(self.T_base_laser)
 
 
 @dataclass(frozen=True, eq=False)

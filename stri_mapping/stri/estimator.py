@@ -82,8 +82,7 @@ class StriEstimator:
         self.config = config or EstimatorConfig()
         self.range_image = RangeImage(self.config.image_window)
         self.range_image_log = RangeImageLog()
-        x_axis = T_base_laser[:2, 0]
-        self._mount = np.array([*T_base_laser[:2, 3], np.arctan2(x_axis[1], x_axis[0])])
+        self._mount = geometry.planar_pose(T_base_laser)
         self._handed = 1.0 if T_base_laser[2, 2] > 0.0 else -1.0    # -1: mounted upside down
         self._segmenter = Segmenter()
         self._starting: list[tuple[Scan, Labels]] = []

@@ -39,7 +39,7 @@ def linearise(
     a: Array, count_a: int, b: Array, count_b: int, bins_b: NDArray[np.int32], z: Array,
     scale: float, first: int, stride: int, pull: float, trust: Array, forward: Array,
     hessian: Array, gradient: Array, votes: Array,
-) -> tuple[int, float]:
+) -> None:
     """
     Write information matrix and gradient of the residuals at a relative pose.
 
@@ -67,19 +67,11 @@ def linearise(
         (labels, 2) accepted and whole weight of the surfels that see motion forward, added up
         by a's label.
 
-    Returns
-    -------
-    count : int
-        Number of surfels that found a partner.
-    agreement : float
-        Their mean robust weight.
-
     """
     cos, sin = math.cos(z[2]), math.sin(z[2])
     h00 = h01 = h02 = h11 = h12 = h22 = 0.0
     g0 = g1 = g2 = 0.0
     n00 = n01 = n11 = 0.0
-    count, total = 0, 0.0
     reach = max(TANGENT, TANGENT_PER_SCALE * scale)
     for r in range(first, count_a, stride):
         label = int(a[r, S_LABEL]) % len(trust)
@@ -101,8 +93,6 @@ def linearise(
         facing = (cos * a[r, NX] - sin * a[r, NY]) * nx + (sin * a[r, NX] + cos * a[r, NY]) * ny
         if facing < SAME_NORMAL or abs(e) > 4.0 * scale:
             w = 0.0
-        count += 1
-        total += w
         votes[label, 0] += w * sees
         w *= min(trust[label], trust[int(b[k, S_LABEL]) % len(trust)])
         if w == 0.0:
@@ -128,7 +118,6 @@ def linearise(
     gradient[0], gradient[1], gradient[2] = g0, g1, g2
     _clamp(hessian, gradient)
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
-    return count, total / max(count, 1)
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]

@@ -36,7 +36,7 @@ def solve(
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
     jerk: Array, acceleration: Array, pull: float, trust: Array, forward: Array, votes: Array,
-) -> tuple[Array, float, int]:
+) -> None:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
 
@@ -60,25 +60,15 @@ def solve(
     pull, trust, forward, votes
         See `pairs.linearise`; neighbours in time among the newest pairs vote.
 
-    Returns
-    -------
-    information : Array
-        (3 n, 3 n) information matrix of the active knots.
-    agreement : float
-        Mean robust weight in the newest pairs, 1 where there are none.
-    iterations : int
-        How many were made.
-
     """
     n = last - first
     information, slope = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
-    agreement, made = 1.0, 0
     for i in range(iterations):
         information[:], slope[:] = 0.0, 0.0
         scale, final = scales[min(i, len(scales) - 1)], scales[-1]
-        agreement = _add_pairs(
+        _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
-            bins, scale, final, newest, pull, trust, forward, votes, information, slope, agreement)
+            bins, scale, final, newest, pull, trust, forward, votes, information, slope)
         add_prior(knots, first, last, start, THIRD, jerk, information, slope)
         add_prior(knots, first, last, start, SECOND, acceleration, information, slope)
         for d in range(3 * n):
@@ -91,10 +81,8 @@ def solve(
         for k in range(n):
             for d in range(3):
                 knots[first + k, d] += step[3 * k + d]
-        made += 1
         if np.abs(step).max() < STOP and i >= len(scales) - 1:
             break
-    return information, agreement, made
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -102,12 +90,11 @@ def _add_pairs(
     knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, gradient: Array,
     passes: Index, time: Array, pose: Array, surfels: Array, counts: Index,
     bins: NDArray[np.int32], scale: float, final: float, newest: float, pull: float,
-    trust: Array, forward: Array, votes: Array, information: Array, slope: Array, agreement: float,
-) -> float:
+    trust: Array, forward: Array, votes: Array, information: Array, slope: Array,
+) -> None:
     weights_a, weights_b = np.empty(4), np.empty(4)
     now, shift = np.empty(3), np.empty(3)
     jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
-    good, fresh = 0.0, 0
     still = np.zeros(2)
     for p in range(len(ends)):
         a, b = ends[p]
@@ -124,22 +111,18 @@ def _add_pairs(
         turned = abs(now[2] - z[p, 2]) > TURNED
         if passes[p] == 0 or moved or turned or (new and passes[p] < 3):
             stride = max(1, counts[a] // RESIDUALS)
-            _, share = linearise(
+            linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
                 scale if new else final, (a + b) % stride, stride, pull, trust,
                 forward if new and abs(time[a] - time[b]) < 1.5 * h else still,
                 hessian[p], gradient[p], votes)
             z[p] = now
             passes[p] += 1
-            if new:
-                good += share
-                fresh += 1
         for d in range(3):
             shift[d] = now[d] - z[p, d]
         g = gradient[p] + hessian[p] @ shift
         m = chain(ka - first, kb - first, weights_a, weights_b, pose[b], now, jacobian, columns)
         _scatter(jacobian, columns, m, hessian[p], g, information, slope)
-    return good / fresh if fresh else agreement
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

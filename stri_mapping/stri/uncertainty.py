@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.stri.pairs import relative
 from stri_mapping.stri.smoother import add_prior, chain, SECOND, THIRD
 from stri_mapping.stri.spline import basis, pose_at
 from stri_mapping.stri.window import Keyframes, Pairs
@@ -81,13 +82,9 @@ class Uncertainty:
             # the first scan defines the frame
             held = np.kron(np.outer(weights, weights), np.eye(3))
             information[3:15, 3:15] += 1e8 * held
-        done = self.first + old // 3
-        unused = np.zeros(size)
-        zero = np.zeros_like(knots[:last])
-        _prior_from(zero, self.first, done, last, self._jerk, self._acceleration, information,
-                    unused)
+        information += _new_prior(old // 3, size // 3, self._jerk, self._acceleration)
         n = pairs.count
-        _add(knots, self.h, self.first, pairs.ends[:n], pairs.z[:n], pairs.hessian[:n],
+        _add(knots, self.h, self.first, pairs.ends[:n], pairs.hessian[:n],
              frames.time, frames.pose, newest, information)
         information[np.diag_indices(size)] += 1e-9
         drop = 3 * max(0, last - self.first - WINDOW)
@@ -129,29 +126,25 @@ class Uncertainty:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _prior_from(
-    knots: Array, first: int, done: int, last: int, jerk: Array, acceleration: Array,
-    information: Array, slope: Array,
-) -> None:
-    """Add the priors of the differences that reach the knots from `done` on."""
-    n = 3 * (last - first)
-    scratch = np.zeros((n, n))
-    add_prior(knots, first, last, 0, THIRD, jerk, scratch, slope)
-    add_prior(knots, first, last, 0, SECOND, acceleration, scratch, slope)
-    if done > first:
-        before = np.zeros((n, n))
-        add_prior(knots, first, done, 0, THIRD, jerk, before, slope)
-        add_prior(knots, first, done, 0, SECOND, acceleration, before, slope)
-        scratch -= before
-    information += scratch
+def _new_prior(done: int, count: int, jerk: Array, acceleration: Array) -> Array:
+    """Return the priors' information on a window's knots, but for those among the first done."""
+    knots, slope = np.zeros((count, 3)), np.zeros(3 * count)
+    information = np.zeros((3 * count, 3 * count))
+    before = np.zeros((3 * count, 3 * count))
+    add_prior(knots, 0, count, 0, THIRD, jerk, information, slope)
+    add_prior(knots, 0, count, 0, SECOND, acceleration, information, slope)
+    add_prior(knots, 0, done, 0, THIRD, jerk, before, slope)
+    add_prior(knots, 0, done, 0, SECOND, acceleration, before, slope)
+    return information - before
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _add(
-    knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, time: Array,
+    knots: Array, h: float, first: int, ends: Index, hessian: Array, time: Array,
     pose: Array, newest: float, information: Array,
 ) -> None:
-    weights_a, weights_b, scratch = np.empty(4), np.empty(4), np.empty(3)
+    weights_a, weights_b = np.empty(4), np.empty(4)
+    scratch, delta = np.empty(3), np.empty(3)
     jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
     turn = np.eye(3)
     for p in range(len(ends)):
@@ -175,11 +168,7 @@ def _add(
             kb = first
         else:
             pose_at(knots, h, time[b], weights_b, scratch)
-        delta = np.empty(3)
-        dx, dy = pose_a[0] - pose_b[0], pose_a[1] - pose_b[1]
-        cos, sin = math.cos(pose_b[2]), math.sin(pose_b[2])
-        delta[0], delta[1] = cos * dx + sin * dy, -sin * dx + cos * dy
-        delta[2] = pose_a[2] - pose_b[2]
+        relative(pose_a, pose_b, delta)
         _moved_information(hessian[p], pose[b], pose[a], pose_b, pose_a, turn)
         m = chain(ka - first, kb - first, weights_a, weights_b, pose_b, delta, jacobian, columns)
         for i in range(m):
