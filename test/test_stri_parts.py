@@ -12,8 +12,9 @@ from stri_mapping.stri.proposal import cost_of, propose
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
+from stri_mapping.stri.sight import count_left, count_through, look as look_along, SIGHTS
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import LABELS, NEW, Trust
+from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust
 
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
 H = 0.1
@@ -59,7 +60,8 @@ def surfels_of(pose, walls, rng):
                               rays[n:])
     surfels = np.empty((2048, keyframe.SURFEL))
     bins = np.empty(keyframe.BINS + 1, np.int32)
-    count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins)
+    count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins,
+                           np.empty(SIGHTS))
     return surfels, count, bins
 
 
@@ -125,7 +127,7 @@ def test_one_linearisation_finds_a_small_relative_pose(shift):
     shift = np.array(shift)
     a, count_a, _ = surfels_of(geometry.compose(LEFT, shift), WALL + COLUMNS, rng)
     b, count_b, bins = surfels_of(LEFT, WALL + COLUMNS, rng)
-    hessian, gradient, votes = np.empty((3, 3)), np.empty(3), np.zeros((LABELS, 2))
+    hessian, gradient, votes = np.empty((3, 3)), np.empty(3), np.zeros(LABELS + 1)
     z = np.zeros(3)
     for _ in range(4):
         pairs.linearise(a, count_a, b, count_b, bins, z, 0.1, 0, 1, 0.0, np.ones(LABELS),
@@ -136,7 +138,7 @@ def test_one_linearisation_finds_a_small_relative_pose(shift):
     assert z[0] == pytest.approx(shift[0], abs=0.004)
     assert z[1] == pytest.approx(shift[1], abs=0.020)
     assert z[2] == pytest.approx(shift[2], abs=0.0006)
-    assert votes[0, 0] > 0.6 * votes[0, 1] > 0.0
+    assert votes[0] > 20.0 and votes[-1] == 4.0
 
 
 def test_a_bare_wall_tells_nothing_along_itself():
@@ -145,7 +147,7 @@ def test_a_bare_wall_tells_nothing_along_itself():
     b, count_b, bins = surfels_of(LEFT, WALL, rng)
     hessian, gradient = np.empty((3, 3)), np.empty(3)
     pairs.linearise(a, count_a, b, count_b, bins, np.zeros(3), 0.1, 0, 1, 0.0, np.ones(LABELS),
-                    np.zeros(2), hessian, gradient, np.zeros((LABELS, 2)))
+                    np.zeros(2), hessian, gradient, np.zeros(LABELS + 1))
     across, along = hessian[0, 0], hessian[1, 1]
     assert along < 1e-3 * across
 
@@ -184,32 +186,80 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
                                   np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
         surfels = np.empty((2048, keyframe.SURFEL))
         count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
-                               surfels, np.empty(keyframe.BINS + 1, np.int32))
+                               surfels, np.empty(keyframe.BINS + 1, np.int32), np.empty(SIGHTS))
         error.learn(surfels[:count], 0.5 * k)
     # the prior holds it back where walls tell little; here they tell much
     assert error.value == pytest.approx(pull, rel=0.25)
 
 
 def test_a_surface_earns_trust_and_loses_it_as_a_whole():
-    trust = Trust()
-    trust.add(1, np.array([-1], dtype=np.int32))
+    trust, rays = Trust(), np.zeros(20)
+
+    def judge(agree, through, certain):
+        trust.votes[:] = trust.through[:] = 0.0
+        trust.votes[0], trust.votes[-1], trust.through[0] = agree, 24.0, through
+        trust.update(rays, certain)
+
+    trust.add(1)
     assert trust.weight[0] == NEW
     for _ in range(8):
-        trust.votes[:] = 0.0
-        trust.votes[0] = 9.0, 10.0
-        trust.update(certain=True)
-    assert trust.weight[0] > 0.95
-    # what splits off it is trusted as it is
-    trust.add(2, np.array([0], dtype=np.int32))
-    assert trust.weight[1] == trust.weight[0]
+        judge(9.0, 1.0, True)
+    assert trust.weight[0] > 0.95 and trust.agreement > 0.9
+    # nobody is condemned by a motion that is not known itself
     for certain, condemned in ((False, False), (True, True)):
         for _ in range(8):
-            trust.votes[:] = 0.0
-            trust.votes[0] = 0.5, 10.0
-            trust.update(certain)
-        assert bool(trust.weight[0] < 0.03) == condemned
+            judge(0.5, 10.0, certain)
+        assert bool(trust.weight[0] < MOVES) == condemned
+    # nor cleared by one
+    for _ in range(8):
+        judge(9.0, 0.0, False)
+    assert trust.weight[0] < MOVES
+    trust.add(2)
     trust.pardon()
-    assert trust.weight[0] < 0.03 and trust.weight[1] == 1.0
+    assert trust.weight[0] < MOVES and trust.weight[1] == 1.0
+
+
+def test_known_surfaces_that_fall_silent_raise_doubt():
+    trust, rays = Trust(), np.zeros(20)
+    trust.add(1)
+    for agree in [9.0] * 8 + [0.0] * 2:
+        trust.votes[:] = 0.0
+        trust.votes[0], trust.votes[-1] = agree, 24.0
+        trust.update(rays, True)
+    assert trust.agreement < 0.2
+    trust.pardon()
+    assert trust.agreement == 1.0
+
+
+def test_what_came_to_a_place_seen_through_counts_and_what_hides_does_not():
+    wall = np.column_stack([np.linspace(-10.0, 10.0, 400), np.full(400, 8.0)])
+    sight, votes = np.empty(SIGHTS), np.zeros(4)
+    look_along(wall, sight)
+    knots, home = np.zeros((8, 3)), np.zeros(3)
+    # nearer than the wall seen before; on it; hidden behind it; where nothing was seen at all
+    for label, (r, bearing) in enumerate([(4.0, 90.0), (8.0, 90.0), (12.0, 90.0), (4.0, -90.0)]):
+        ray = np.array([[r, np.deg2rad(bearing), 0.2, 0.0, label]])
+        count_through(ray, 1, knots, H, home, sight, votes)
+    np.testing.assert_array_equal(votes, [1.0, 0.0, 0.0, 0.0])
+    # a surface of before that the newer keyframe, a metre on, sees through has left
+    surfels = np.zeros((3, keyframe.SURFEL))
+    surfels[:, keyframe.X], surfels[:, keyframe.Y] = 0.0, [4.0, 8.0, 12.0]
+    surfels[:, keyframe.S_LABEL] = [0, 1, 2]
+    votes[:] = 0.0
+    count_left(surfels, 3, 1, np.array([-1.0, 0.0, 0.0]), sight, votes)
+    np.testing.assert_array_equal(votes, [1.0, 0.0, 0.0, 0.0])
+
+
+def test_surfaces_that_touch_for_a_moment_keep_their_numbers():
+    segmenter = Segmenter()
+    seen = []
+    for gap in (3.0, 1.0, 0.0, 1.0, 3.0):
+        walls = [(-6.0, 5.0, -0.5 * gap, 5.0), (0.5 * gap, 5.0, 6.0, 5.0)]
+        scan = scan_at(0.0, np.zeros(3), walls)
+        labels = segmenter.segment(scan)
+        seen.append((int(labels[50]), int(labels[130])))
+    assert seen[0][0] != seen[0][1]
+    assert all(pair == seen[0] for pair in seen)
 
 
 def test_the_range_image_slides_and_the_log_thins(tmp_path):

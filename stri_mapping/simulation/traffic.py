@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
 from stri_mapping import geometry
@@ -110,12 +111,21 @@ class Traffic:
                  np.pi)
 
     def alongside(self, kind: str, meeting: float, relative: float, offset: float) -> None:
-        """Add a vehicle that keeps our speed plus `relative` and is level with us at a time."""
+        """
+        Add a vehicle that keeps our speed plus `relative` and is level with us at a time.
+
+        Where we are slower than it would fall back, it stands rather than to drive backwards,
+        and it sways in its lane as it goes, not as time goes.
+        """
         sway = self.rng.uniform(0.0, 6.28)
-        self.add(
-            kind, lambda t: np.asarray(np.interp(t, self._times, self._distance)
-                                       + relative * (t - meeting)),
-            lambda t: offset + 0.15 * np.sin(0.5 * t + sway))
+        speed = np.maximum(np.gradient(self._distance, self._times) + relative, 0.0)
+        way = cumulative_trapezoid(speed, self._times, initial=0.0)
+        way += self.distance_at(meeting) - float(np.interp(meeting, self._times, way))
+
+        def along(t: Array) -> Array:
+            return np.asarray(np.interp(t, self._times, way))
+
+        self.add(kind, along, lambda t: offset + 0.15 * np.sin(0.06 * along(t) + sway))
 
     def walking(self, start: float, speed: float, offset: float) -> None:
         """Add a person on the pavement, at arc length `start` when the drive begins."""

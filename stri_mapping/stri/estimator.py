@@ -34,7 +34,9 @@ TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
 TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
 MARGIN = 0.004              # metres, the least by which it must be better
-DECISIVE = 0.7              # cost of a proposal over that of coasting, to be believed
+DECISIVE = 0.7              # cost of a proposal over that of others, to be believed
+SEEN = 0.25                 # share of rays on what stands, below which no motion can be told
+APART = 1.5                 # m/s to other speeds that must be clearly worse
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class EstimatorConfig:
     """
 
     knot_spacing: float = 0.1
-    degenerate_sigma: float = 0.1
+    degenerate_sigma: float = 0.2
     lost_sigma: float = 0.4
     image_window: float = 8.0
     joint: JointConfig = field(default_factory=JointConfig)
@@ -123,7 +125,7 @@ class StriEstimator:
                 return None
             self._start()
         else:
-            self._path.trust.add(self._segmenter.surfaces, self._segmenter.parents)
+            self._path.trust.add(self._segmenter.surfaces)
             self._take(scan, labels)
         return self._estimate(scan.stamp_ns)
 
@@ -165,6 +167,8 @@ class StriEstimator:
         step = float(abs(scans[0].angles[1] - scans[0].angles[0]))
         self._path = path = JointPath(
             self._spacing(), step, _rotation(-self._mount[2])[:2, 0], self.config.joint)
+        path.trust.add(self._segmenter.surfaces)
+        path.trust.pardon()
         kept, self._starting = self._starting, []
         begun = False
         for scan, labels in kept:
@@ -227,10 +231,14 @@ class StriEstimator:
         now = self._estimate(self._pending[-1]).twist
         reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
         profiles = list(self._profiles)
+        if np.mean([np.isfinite(r).mean() for _, _, r in profiles]) < SEEN:
+            return
         twist, cost = propose(
             profiles, self._mount, now[0] + np.linspace(-reach, reach, 31), now[2:] + TURNS)
-        coasting = cost_of(profiles, self._mount, now)
-        if cost < DECISIVE * coasting and cost < coasting - MARGIN:
+        others = [now, *(twist + [d, 0.0, 0.0] for d in (-APART, APART))]
+        least = min(cost_of(profiles, self._mount, other) for other in others)
+        inside = abs(twist[0] - now[0]) < 0.9 * reach
+        if inside and cost < DECISIVE * least and cost < least - MARGIN:
             self._path.restart(self._of_scanner(twist))
 
     def _release(self, until: float) -> None:

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping import geometry
+from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import Trust
+from stri_mapping.stri.trust import MOVES, Trust
 from stri_mapping.stri.uncertainty import Uncertainty
 from stri_mapping.stri.window import Window
 
@@ -43,6 +44,8 @@ class JointConfig:
         Seconds of scans merged in a keyframe besides those of its own knot interval.
     jerk, angular_jerk, acceleration, angular_acceleration
         Standard deviations of the motion's third and second derivatives, SI units.
+    turn
+        Standard deviation of the turn rate, rad/s: where nothing tells it, the way is straight.
     far
         Metres beyond which returns are not used.
     start_steps
@@ -62,6 +65,7 @@ class JointConfig:
     angular_jerk: float = 3.0
     acceleration: float = 4.0
     angular_acceleration: float = 2.0
+    turn: float = 0.4
     far: float = 80.0
     start_steps: int = 13
     iterations: int = 7
@@ -111,10 +115,12 @@ class JointPath:
         self._start = 0           # knot at which the motion was taken up
         self._forward = forward
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
+        self._newest = np.empty((0, 5))         # rays of the newest keyframe's own interval
         h, c = spacing, config
         self._jerk = np.array([c.jerk, c.jerk, c.angular_jerk]) ** -2.0 * h ** -6
         self._acceleration = np.array(
             [c.acceleration, c.acceleration, c.angular_acceleration]) ** -2.0 * h ** -4
+        self._straight = np.array([0.0, 0.0, (c.turn * h) ** -2.0])
 
     def add(self, start: float, end: float, rays: Array) -> None:
         """Take the prepared rays of a scan that lasted from start to end."""
@@ -193,9 +199,11 @@ class JointPath:
         new = [s for s in self._scans if begin < s[1] <= end]
         if not new:
             return np.inf
-        merged = [rays for _, t, rays in self._scans if begin - self.config.span < t <= end]
-        moment = 0.5 * (new[0][0] + new[-1][1])
-        slot = self.window.add(np.concatenate(merged), moment, self.knots)
+        merged = [s for s in self._scans if begin - self.config.span < s[1] <= end]
+        self._newest = np.concatenate([s[2] for s in new])
+        # amid all its rays: an error of the velocity by which they are merged then does no harm
+        moment = 0.5 * (merged[0][0] + merged[-1][1])
+        slot = self.window.add(np.concatenate([s[2] for s in merged]), moment, self.knots)
         if self.config.learn_error:
             frames = self.window.frames
             self.error.learn(frames.surfels[slot, :frames.counts[slot]], self.window.travelled)
@@ -207,7 +215,7 @@ class JointPath:
     ) -> None:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         window = self.window
-        self.trust.votes[:] = 0.0
+        self.trust.votes[:] = self.trust.through[:] = 0.0
         for attempt in range(3):
             self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations)
             stale = window.stale(self.knots, first * self.h) if attempt < 2 else []
@@ -219,7 +227,8 @@ class JointPath:
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self.uncertainty.speed(self.step * self.h)
-        self.trust.update(self.sigma < CERTAIN)
+        window.seen_through(self._newest, self.knots, self.trust.through)
+        self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN)
 
     def _solve(
         self, first: int, last: int, scales: Array, newest: float, iterations: int,
@@ -229,5 +238,6 @@ class JointPath:
         solve(
             self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
-            newest, iterations, self._jerk, self._acceleration, self.error.value,
-            self.trust.weight, self._forward, self.trust.votes)
+            newest, iterations, self._jerk, self._acceleration, self._straight, self.error.value,
+            np.where(self.trust.weight < MOVES, 0.0, self.trust.weight), self._forward,
+            self.trust.votes)

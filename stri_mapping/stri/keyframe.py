@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.stri.sight import look
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
@@ -38,6 +39,7 @@ WINDOWS = (0.8, 0.4, 0.2, 0.1)
 MIN_POINTS = 6
 MIN_VARIANCE = 0.03 ** 2
 HEAD_ON = 0.9
+SIGHT_ONLY = 2.0
 BINS = 720
 
 
@@ -50,8 +52,9 @@ def prepare(
     Pick a scan's usable rays; the motion is not needed for this.
 
     A ray at grazing incidence reports the near side of its footprint, and the last ray before
-    a jump a mixture; such a ray is dropped if it is in line with its neighbours, else kept as
-    a lone one, which may be a column's far side but may not bend another ray's line.
+    a jump a mixture; such a ray serves as a line of sight alone if it is in line with its
+    neighbours, else it is kept as a lone one, which may be a column's far side but may not bend
+    another ray's line.
 
     Parameters
     ----------
@@ -64,7 +67,7 @@ def prepare(
     far
         Ranges beyond are not used, metres.
     out
-        (n, 5) written with range, bearing, time, lone (0 or 1), label.
+        (n, 5) written with range, bearing, time, lone (0, 1 or `SIGHT_ONLY`), label.
 
     Returns
     -------
@@ -87,8 +90,9 @@ def prepare(
         lone = 0.0
         if min(before, after) > GRAZING:
             if bend > 1e8 or bend <= 7.2 * sigma + 0.08 * max(before, after):
-                continue
-            lone = 1.0
+                lone = SIGHT_ONLY
+            else:
+                lone = 1.0
         elif bend > 7.2 * sigma:
             step = STEP + STEP_PER_RANGE * r
             if ((1e9 > before > step and ranges[j - 1] > r)
@@ -104,7 +108,7 @@ def prepare(
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def build(
     rays: Array, knots: Array, h: float, moment: float, angle_step: float, stride: int,
-    surfels: Array, bins: NDArray[np.int32],
+    surfels: Array, bins: NDArray[np.int32], sight: Array,
 ) -> int:
     """
     Merge rays into the surfels of a keyframe.
@@ -125,6 +129,8 @@ def build(
         (m, SURFEL) written, sorted by bearing; no more than m.
     bins
         (BINS + 1,) written: first surfel of each bearing bin, bins over the full circle.
+    sight
+        (SIGHTS,) written, see `sight.look`.
 
     Returns
     -------
@@ -133,7 +139,9 @@ def build(
 
     """
     points, bearings = _merge(rays, knots, h, moment)
-    order = np.argsort(bearings)
+    look(points, sight)
+    use = np.flatnonzero(rays[:, LONE] != SIGHT_ONLY)
+    order = use[np.argsort(bearings[use])]
     n = len(order)
     xy = np.empty((n, 2))
     lone = np.empty(n)

@@ -24,6 +24,7 @@ SIGMA = 0.02              # metres, one residual
 TANGENT = 0.3             # metres along the line within which a partner counts
 TANGENT_PER_SCALE = 2.0
 SAME_NORMAL = 0.9         # cosine
+FLAT = 0.005              # vote of a surfel that agrees, but would with any speed
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -64,14 +65,16 @@ def linearise(
     hessian, gradient
         (3, 3) and (3,) written.
     votes
-        (labels, 2) accepted and whole weight of the surfels that see motion forward, added up
-        by a's label.
+        (labels + 1,) accepted weight of the surfels that see motion forward, added up by a's
+        label; the last counts how often that was done.
 
     """
     cos, sin = math.cos(z[2]), math.sin(z[2])
     h00 = h01 = h02 = h11 = h12 = h22 = 0.0
     g0 = g1 = g2 = 0.0
     n00 = n01 = n11 = 0.0
+    asked = forward[0] ** 2 + forward[1] ** 2
+    votes[-1] += asked
     reach = max(TANGENT, TANGENT_PER_SCALE * scale)
     for r in range(first, count_a, stride):
         label = int(a[r, S_LABEL]) % len(trust)
@@ -82,10 +85,9 @@ def linearise(
         k = _partner(b, count_b, bins_b, x, y)
         if k < 0:
             continue
+        sees = (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2 + FLAT * asked
         nx, ny = b[k, NX], b[k, NY]
         ex, ey = x - b[k, X], y - b[k, Y]
-        sees = (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2
-        votes[label, 1] += sees
         if abs(-ny * ex + nx * ey) > reach:
             continue
         e = nx * ex + ny * ey + pull * b[k, PULL]
@@ -93,7 +95,7 @@ def linearise(
         facing = (cos * a[r, NX] - sin * a[r, NY]) * nx + (sin * a[r, NX] + cos * a[r, NY]) * ny
         if facing < SAME_NORMAL or abs(e) > 4.0 * scale:
             w = 0.0
-        votes[label, 0] += w * sees
+        votes[label] += w * sees
         w *= min(trust[label], trust[int(b[k, S_LABEL]) % len(trust)])
         if w == 0.0:
             continue

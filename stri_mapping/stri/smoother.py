@@ -27,7 +27,10 @@ STOP = 2e-4                       # metres or radians: the fit has converged
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION = 60.0
 ANCHOR = 1e8
+TAIL = 2.0                # standard deviations beyond which a jerk is taken as it comes
+VOTES = 1.2        # seconds between keyframes whose comparison tells what moves
 THIRD, SECOND = np.array([-1.0, 3.0, -3.0, 1.0]), np.array([1.0, -2.0, 1.0])
+FIRST = np.array([-1.0, 1.0])
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -35,7 +38,8 @@ def solve(
     knots: Array, h: float, first: int, last: int, start: int, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
-    jerk: Array, acceleration: Array, pull: float, trust: Array, forward: Array, votes: Array,
+    jerk: Array, acceleration: Array, straight: Array, pull: float, trust: Array,
+    forward: Array, votes: Array,
 ) -> None:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -55,8 +59,8 @@ def solve(
         Geman-McClure scales of the iterations, the last for all that follow.
     newest
         Pairs with a keyframe at or after this time anneal by `scales`.
-    jerk, acceleration
-        (3,) prior information of third and second differences of the coefficients.
+    jerk, acceleration, straight
+        (3,) prior information of third, second and first differences of the coefficients.
     pull, trust, forward, votes
         See `pairs.linearise`; neighbours in time among the newest pairs vote.
 
@@ -69,14 +73,15 @@ def solve(
         _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
             bins, scale, final, newest, pull, trust, forward, votes, information, slope)
-        add_prior(knots, first, last, start, THIRD, jerk, information, slope)
-        add_prior(knots, first, last, start, SECOND, acceleration, information, slope)
+        add_prior(knots, first, last, start, THIRD, jerk, TAIL, information, slope)
+        add_prior(knots, first, last, start, FIRST, straight, np.inf, information, slope)
+        add_prior(knots, first, last, start, SECOND, acceleration, np.inf, information, slope)
         for d in range(3 * n):
             information[d, d] += 1e-6
         if start >= first:
             for d in range(9):
-                i = 3 * (start - first) + d
-                information[i, i] += ANCHOR if d < 3 else 1e2
+                row = 3 * (start - first) + d
+                information[row, row] += ANCHOR if d < 3 else 1e2
         step = np.linalg.solve(information, -slope)
         for k in range(n):
             for d in range(3):
@@ -114,7 +119,7 @@ def _add_pairs(
             linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
                 scale if new else final, (a + b) % stride, stride, pull, trust,
-                forward if new and abs(time[a] - time[b]) < 1.5 * h else still,
+                forward if time[a] >= newest and 0.0 < time[a] - time[b] < VOTES else still,
                 hessian[p], gradient[p], votes)
             z[p] = now
             passes[p] += 1
@@ -174,10 +179,15 @@ def _scatter(
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def add_prior(
-    knots: Array, first: int, last: int, start: int, stencil: Array, weight: Array,
+    knots: Array, first: int, last: int, start: int, stencil: Array, weight: Array, tail: float,
     information: Array, slope: Array,
 ) -> None:
-    """Add the prior that finite differences of the coefficients are small, but across start."""
+    """
+    Add the prior that finite differences of the coefficients are small, but across start.
+
+    Beyond `tail` standard deviations it gives way (Cauchy): brakes that bite, or a vehicle that
+    has come to its stop, are rare and hard jerks.
+    """
     width = len(stencil)
     for k in range(max(first - width + 1, 0), last - width + 1):
         if k < start < k + width:
@@ -186,12 +196,13 @@ def add_prior(
             e = 0.0
             for i in range(width):
                 e += stencil[i] * knots[k + i, d]
+            w = weight[d] / (1.0 + weight[d] * e * e / tail ** 2)
             for i in range(width):
                 row = 3 * (k + i - first) + d
                 if row < 0:
                     continue
-                slope[row] += weight[d] * stencil[i] * e
+                slope[row] += w * stencil[i] * e
                 for j in range(width):
                     column = 3 * (k + j - first) + d
                     if column >= 0:
-                        information[row, column] += weight[d] * stencil[i] * stencil[j]
+                        information[row, column] += w * stencil[i] * stencil[j]

@@ -4,9 +4,10 @@
 Which surfaces stand still: moving objects are left out as wholes.
 
 A surface that comes into view counts little until it has agreed with the motion that the known
-ones tell; one that disagrees loses its weight, all of it, its sides that slide along themselves
-included.  So a bus that draws alongside is out before it hides the street, and when it hides
-everything, nothing is left to be misled by.
+ones tell.  One that comes to, or leaves, places that other keyframes see through (see `sight`)
+loses its weight, all of it, its sides that slide along themselves included.  So a bus that draws
+alongside is out before it hides the street, and when it hides everything, nothing is left to be
+misled by.  Where known surfaces fall silent, it is the motion that is in doubt.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LABELS = 1024          # surfaces told apart at a time; numbers wrap around
+LABELS = 8192          # surfaces told apart at a time; numbers wrap around
 NEW = 0.1              # weight of a surface just come into view
-GAIN, LOSS = 0.35, 0.5
-AGREES, DISAGREES = 0.5, 0.3
+GAIN, SLOW_GAIN, LOSS = 0.35, 0.1, 0.7
+AGREES, DISAGREES = 0.7, 0.5
 ENOUGH = 2.0           # votes below which nothing can be said
-MOVES = 0.03           # weight below which a surface is known to move
+USUAL_ROUNDS = 24.0    # comparisons that the numbers above are meant for
+FORGET = 0.8           # of what a surface used to say, from fit to fit
+KNOWN = 0.5            # weight above which a surface is known to stand
+MOVES = 0.05           # weight below which a surface is known to move
 
 
 class Trust:
@@ -33,57 +37,69 @@ class Trust:
     weight
         (LABELS,) from 0, left out, to 1.
     votes
-        (LABELS, 2) accepted and whole weight of the surfels that see motion along the way,
-        collected by the fit.
+        (LABELS + 1,) weight of the surfels that see motion along the way and agree with the fit;
+        the last counts the comparisons.
+    through
+        (LABELS,) count of rays that come from where earlier keyframes saw through.
     agreement
-        Share of all votes that are for the motion found, over the last few fits.
+        How much of what surfaces known to stand used to say for the motion they say now.
 
     """
 
     def __init__(self) -> None:
         """Trust all that is there at the start: nothing tells them apart."""
         self.weight = np.ones(LABELS)
-        self.votes = np.zeros((LABELS, 2))
+        self.votes, self.through = np.zeros(LABELS + 1), np.zeros(LABELS)
+        self._moved = np.zeros(LABELS, np.bool_)
+        self._usual = np.zeros(LABELS)           # agreeing weight of a surface's ray, lately
         self.agreement = 1.0
+        self._known = 0
 
-    def add(self, surfaces: int, parents: NDArray[np.int32]) -> None:
-        """
-        Take surfaces that have come into view.
+    def add(self, surfaces: int) -> None:
+        """Take the surfaces that have come into view, by the count of numbers given so far."""
+        new = np.arange(self._known, surfaces) % LABELS
+        self.weight[new], self._usual[new], self._moved[new] = NEW, 0.0, False
+        self._known = surfaces
 
-        Parameters
-        ----------
-        surfaces
-            Numbers given so far.
-        parents
-            (n,) of the n newest: the surface each split off from, -1 for none.
-
-        """
-        for i, parent in enumerate(parents):
-            number = (surfaces - len(parents) + i) % LABELS
-            self.weight[number] = NEW if parent < 0 else self.weight[parent % LABELS]
-
-    def update(self, certain: bool) -> None:
+    def update(self, labels: Array, certain: bool) -> None:
         """
         Judge every surface by its votes since they were last cleared.
 
         Parameters
         ----------
+        labels
+            (n,) surface of each of the newest rays.
         certain
-            Whether the vehicle's motion is known: if not, disagreement condemns nobody.
+            Whether the vehicle's motion is known: if not, disagreement condemns nobody, nor does
+            agreement clear what was seen to move.
 
         """
-        accepted, whole = self.votes.T
-        if whole.sum() > 5.0 * ENOUGH:
-            self.agreement += 0.3 * (accepted.sum() / whole.sum() - self.agreement)
+        agree = USUAL_ROUNDS * self.votes[:-1] / max(self.votes[-1], 1.0)
+        rays = np.bincount(labels[labels >= 0].astype(np.int64) % LABELS, minlength=LABELS)
+        self._compare(agree, rays)
+        whole = agree + self.through
         heard = whole > ENOUGH
-        share = accepted / np.maximum(whole, 1e-9)
-        rise = heard & (share > AGREES)
+        share = agree / np.maximum(whole, 1e-9)
+        rise = heard & (share > AGREES) & (certain | ~self._moved)
         fall = heard & (share < DISAGREES)
-        self.weight[rise] += GAIN * (1.0 - self.weight[rise])
+        gain = np.where(self.weight < MOVES, SLOW_GAIN, GAIN)
+        self.weight[rise] += (gain * (1.0 - self.weight))[rise]
         if certain:
             self.weight[fall] *= 1.0 - LOSS
+        self._moved = (self._moved | (self.weight < MOVES)) & (self.weight < KNOWN)
+
+    def _compare(self, agree: Array, rays: NDArray[np.int64]) -> None:
+        """Bring the agreement up to date: what known surfaces say now and what they used to."""
+        known = (self.weight > KNOWN) & (rays > 0)
+        used_to = float((self._usual * rays)[known].sum())
+        if used_to > ENOUGH:
+            share = min(float(agree[known].sum()) / used_to, 1.0)
+            self.agreement += 0.6 * (share - self.agreement)
+        self._usual *= FORGET
+        seen = rays > 0
+        self._usual[seen] = np.maximum(self._usual[seen], agree[seen] / rays[seen])
 
     def pardon(self) -> None:
         """Trust all again but those known to move."""
-        self.weight[self.weight >= MOVES] = 1.0
+        self.weight[~self._moved] = 1.0
         self.agreement = 1.0

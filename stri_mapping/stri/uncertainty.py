@@ -131,10 +131,10 @@ def _new_prior(done: int, count: int, jerk: Array, acceleration: Array) -> Array
     knots, slope = np.zeros((count, 3)), np.zeros(3 * count)
     information = np.zeros((3 * count, 3 * count))
     before = np.zeros((3 * count, 3 * count))
-    add_prior(knots, 0, count, 0, THIRD, jerk, information, slope)
-    add_prior(knots, 0, count, 0, SECOND, acceleration, information, slope)
-    add_prior(knots, 0, done, 0, THIRD, jerk, before, slope)
-    add_prior(knots, 0, done, 0, SECOND, acceleration, before, slope)
+    add_prior(knots, 0, count, 0, THIRD, jerk, np.inf, information, slope)
+    add_prior(knots, 0, count, 0, SECOND, acceleration, np.inf, information, slope)
+    add_prior(knots, 0, done, 0, THIRD, jerk, np.inf, before, slope)
+    add_prior(knots, 0, done, 0, SECOND, acceleration, np.inf, before, slope)
     return information - before
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri import keyframe
+from stri_mapping.stri.pairs import relative
+from stri_mapping.stri.sight import count_left, count_through, SIGHTS
 from stri_mapping.stri.spline import pose_at, velocity_at
 
 Array = NDArray[np.float64]
@@ -18,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 SLOTS, POINTS = 384, 2048     # keyframes kept at most, and surfels of each
 RAYS_PER_STRIDE = 1000        # rays of a keyframe of which every next one becomes a surfel
+SEEN_THROUGH = (2, 4, 7)                # keyframes back
+RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
 KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
 KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
 STALE_SHIFT, STALE_TURN = 0.0015, 0.0004     # m, rad by which rays of a keyframe are misplaced
@@ -30,8 +34,8 @@ class Keyframes:
 
     Attributes
     ----------
-    surfels, counts, bins
-        (slots, m, SURFEL), (slots,), (slots, BINS + 1), see `keyframe.build`.
+    surfels, counts, bins, sight
+        (slots, m, SURFEL), (slots,), (slots, BINS + 1), (slots, SIGHTS), see `keyframe.build`.
     time
         (slots,) seconds on the spline's clock.
     pose
@@ -44,6 +48,7 @@ class Keyframes:
     counts: Index = field(default_factory=lambda: np.zeros(SLOTS, np.int64))
     bins: NDArray[np.int32] = field(
         default_factory=lambda: np.zeros((SLOTS, keyframe.BINS + 1), np.int32))
+    sight: Array = field(default_factory=lambda: np.zeros((SLOTS, SIGHTS)))
     time: Array = field(default_factory=lambda: np.zeros(SLOTS))
     pose: Array = field(default_factory=lambda: np.zeros((SLOTS, 3)))
 
@@ -158,9 +163,21 @@ class Window:
         t = frames.time[slot]
         frames.counts[slot] = keyframe.build(
             rays, knots, self._h, t, self._angle_step, max(1, len(rays) // RAYS_PER_STRIDE),
-            frames.surfels[slot], frames.bins[slot])
+            frames.surfels[slot], frames.bins[slot], frames.sight[slot])
         velocity_at(knots, self._h, t, self._velocity[slot])
         pose_at(knots, self._h, t, np.empty(4), frames.pose[slot])
+
+    def seen_through(self, rays: Array, knots: Array, votes: Array) -> None:
+        """Count, by label, what came to or left a place through which another keyframe sees."""
+        f, z = self.frames, np.empty(3)
+        newest = self.order[-1]
+        for lag in SEEN_THROUGH:
+            if lag < len(self.order):
+                slot = self.order[-1 - lag]
+                count_through(rays, RAYS_ASKED, knots, self._h, f.pose[slot], f.sight[slot], votes)
+                relative(f.pose[slot], f.pose[newest], z)
+                count_left(f.surfels[slot], f.counts[slot], SURFELS_ASKED, z, f.sight[newest],
+                           votes)
 
     def stale(self, knots: Array, begin: float) -> list[int]:
         """Return the keyframes since a time that were built with another motion than now."""
