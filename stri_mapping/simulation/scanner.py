@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,9 @@ class VirtualScanner:
         Seconds a turn of the mirror really takes.
     phase
         Seconds from the start of the scene to turn 0.
+    scene_time
+        From times (n,) of rays to the times of the scene that they meet: the same, unless a live
+        drive begins from rest.
 
     """
 
@@ -69,11 +72,9 @@ class VirtualScanner:
         """
         self.scanner, self.model, self.scene = scanner, model, scene
         self.start_ns, self.remission = start_ns, remission
-        sequence = np.random.SeedSequence((seed, index))
-        self._key = sequence.generate_state(2, np.uint64)
-        rng = np.random.default_rng(sequence.spawn(1)[0])
-        self.period = MIRROR_TURN * (1.0 + CLOCK * rng.uniform(-1.0, 1.0))
-        self.phase = float(rng.uniform(0.0, self.period))
+        self.scene_time: Callable[[Array], Array] = lambda times: times
+        self._key = np.random.SeedSequence((seed, index)).generate_state(2, np.uint64)
+        self.period, self.phase = mirror_clock(seed, index)
 
     def count(self, duration: float) -> int:
         """Return how many turns end within the first `duration` seconds."""
@@ -109,7 +110,8 @@ class VirtualScanner:
         """Return the scans of turns that share a raster."""
         bearings = np.deg2rad(self.model.bearings(raster))
         times = self.ray_times(numbers)
-        ranges, energy = self.exact(times.ravel(), np.tile(bearings, len(numbers)))
+        ranges, energy = self.exact(self.scene_time(times.ravel()),
+                                    np.tile(bearings, len(numbers)))
         rows = zip(numbers.tolist(), times[:, 0], ranges.reshape(times.shape),
                    energy.reshape(times.shape))
         return [self._scan(k, float(t), float(bearings[0]), r, e) for k, t, r, e in rows]
@@ -161,6 +163,13 @@ class VirtualScanner:
             intensities)
         end = self.phase + self.period * (number + 1) + model.transfer(n) + ADAPTER * late
         return TimedScan(self.scanner, scan, self.start_ns + round(1e9 * end))
+
+
+def mirror_clock(seed: int, index: int) -> tuple[float, float]:
+    """Return the period and the phase in seconds of a scanner's mirror, drawn from a seed."""
+    rng = np.random.default_rng(np.random.SeedSequence((seed, index)).spawn(1)[0])
+    period = MIRROR_TURN * (1.0 + CLOCK * rng.uniform(-1.0, 1.0))
+    return period, float(rng.uniform(0.0, period))
 
 
 def _f32(value: float) -> float:
