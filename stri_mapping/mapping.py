@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.push_broom import FacadeAligner
+from stri_mapping.facade.writer import facade_facts, FacadeWriter
 from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts
 from stri_mapping.scan import Scan, ScanCounts
 from stri_mapping.stri.estimator import StriEstimator
@@ -43,11 +43,13 @@ class Mapper:
         self.folder = folder
         self.estimator = StriEstimator(vehicle.horizontal.T_base_laser)
         self.estimator.warm_up()
-        self.aligner = FacadeAligner(vehicle.verticals)
+        self.aligner = FacadeAligner(vehicle.verticals,
+                                     vehicle.horizontal.T_base_laser[:3, 3])
+        self.aligner.warm_up()
         self._rings = {s.name: ring for ring, s in enumerate(vehicle.verticals)}
         self._stamps = {s.name: array('q') for s in vehicle.scanners}
         self._motion = MotionWriter(folder)
-        self._cloud = CloudWriter(folder, list(self._rings))
+        self._facade = FacadeWriter(folder, list(self._rings))
         self._poses_waiting = 0
         self._estimating = 0.0
         self._started = time.perf_counter()
@@ -78,7 +80,7 @@ class Mapper:
             self._poses_waiting += len(refined)
 
     def _take_points(self) -> None:
-        self._cloud.write(self.aligner.take_points())
+        self._facade.take(self.aligner)
         self._poses_waiting = 0
 
     def finish(self) -> None:
@@ -91,7 +93,7 @@ class Mapper:
             self.estimator.range_image_log.save(self.folder / RANGE_IMAGE_NAME)
         finally:
             self._motion.close()
-            self._cloud.close()
+            self._facade.close()
 
     def facts(self, counts: Mapping[str, ScanCounts]) -> dict[str, Any]:
         """
@@ -114,12 +116,10 @@ class Mapper:
         wall = time.perf_counter() - self._started
         stamps = np.array(self._stamps[self.vehicle.horizontal.name], dtype=np.int64)
         recorded = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
-        rays = self.aligner.counts
         return {
             'scans': len(stamps), 'wall_s': round(wall, 3),
             'real_time_factor': round(recorded / wall, 2),
             'ms_per_scan': round(1e3 * self._estimating / max(len(stamps), 1), 3),
-            'rays_without_return': rays.no_return, 'rays_without_pose': rays.outside,
-            **self._motion.facts(),
+            **facade_facts(self.aligner), **self._motion.facts(),
             'scanners': [scanner_facts(self.vehicle, s, self._stamps[s.name], counts.get(s.name))
                          for s in self.vehicle.scanners]}

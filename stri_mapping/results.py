@@ -23,7 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from stri_mapping import __version__, geometry
 from stri_mapping.errors import StriMappingError, UsageError
-from stri_mapping.facade.cloud_files import count_points, LAZ_NAME, PLY_NAME
+from stri_mapping.facade.cloud_files import count_points, PLY_NAME
+from stri_mapping.facade.las_file import LAZ_NAME
+from stri_mapping.facade.writer import STABILISED_NAME
 from stri_mapping.scan import ScanCounts
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.trajectory import read_tum, stamp_text, tum_line
@@ -35,8 +37,13 @@ TRAJECTORY_NAME, VELOCITY_NAME = 'trajectory.tum', 'velocity.csv'
 SUMMARY_NAME, RANGE_IMAGE_NAME = 'summary.json', 'range_image.npz'
 EVALUATION_NAME, REPORT_NAME = 'evaluation.json', 'report.html'
 VELOCITY_HEADER = 'stamp,vx,vy,wz,sigma_vx,sigma_vy,sigma_wz,quality'
-RESULT_NAMES = (TRAJECTORY_NAME, VELOCITY_NAME, PLY_NAME, LAZ_NAME, SUMMARY_NAME,
-                RANGE_IMAGE_NAME, EVALUATION_NAME, REPORT_NAME)
+# Seconds between two poses that still make one path.
+LONGEST_STEP = 0.5
+# Names and patterns: a cloud may have several files, a street several facades.
+RESULT_NAMES = (TRAJECTORY_NAME, STABILISED_NAME, VELOCITY_NAME, PLY_NAME, LAZ_NAME,
+                SUMMARY_NAME, RANGE_IMAGE_NAME, EVALUATION_NAME, REPORT_NAME,
+                'facade_[0-9]*.ply', 'facade_[0-9]*.laz', 'facade*.pcd', 'facade*.e57',
+                'facade_elevation_*.png', 'facade_elevation_*.pgw')
 
 
 def prepare_folder(folder: Path, overwrite: bool = False) -> None:
@@ -61,8 +68,8 @@ def prepare_folder(folder: Path, overwrite: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()) and not overwrite:
             raise UsageError(f'{folder}: not empty; name another folder or add --overwrite')
-        for name in RESULT_NAMES:
-            (folder / name).unlink(missing_ok=True)
+        for path in [p for name in RESULT_NAMES for p in folder.glob(name)]:
+            path.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(f'{folder}: cannot hold results: {error.strerror}') from None
 
@@ -74,20 +81,34 @@ class MotionWriter:
     Parameters
     ----------
     folder
-        Existing results folder; both files are begun anew.
+        Existing results folder.
+    append
+        Go on with both files, which are there, instead of beginning them anew.
 
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Begin both files."""
+    def __init__(self, folder: Path, append: bool = False) -> None:
+        """Open both files."""
         self.count = 0
         self.observed = 0                # estimates in which all of the motion was observable
-        self._trajectory = (folder / TRAJECTORY_NAME).open('w', encoding='utf-8')
-        self._velocity = (folder / VELOCITY_NAME).open('w', encoding='utf-8')
-        self._velocity.write(VELOCITY_HEADER + '\n')
         self._stretches: list[list[int]] = []
         self._degenerate = False
-        self._last_ns = 0
+        if append:
+            self._read_back(folder / VELOCITY_NAME)
+        mode = 'a' if append else 'w'
+        self._trajectory = (folder / TRAJECTORY_NAME).open(mode, encoding='utf-8')
+        self._velocity = (folder / VELOCITY_NAME).open(mode, encoding='utf-8')
+        if not append:
+            self._velocity.write(VELOCITY_HEADER + '\n')
+
+    def _read_back(self, path: Path) -> None:
+        """Take up the counts of the estimates that were written before."""
+        stamps, values = read_velocity(path)
+        # quality is 1/2 where the deviation is at the limit beyond which a motion is degenerate
+        for stamp, quality in zip(stamps.tolist(), values[:, 6].tolist()):
+            self._note_degenerate(stamp, quality < 0.5)
+        self.count, self.observed = len(stamps), int(np.sum(values[:, 6] >= 0.5))
+        self._degenerate = False         # the gap that follows is no such stretch
 
     def __enter__(self) -> MotionWriter:
         """Return the writer itself."""
@@ -107,19 +128,19 @@ class MotionWriter:
         for estimate in estimates:
             self._trajectory.write(tum_line(estimate.stamp_ns, estimate.pose) + '\n')
             self._velocity.write(velocity_line(estimate) + '\n')
-            self._note_degenerate(estimate)
+            self._note_degenerate(estimate.stamp_ns, estimate.degenerate)
             self.count += 1
             self.observed += not estimate.degenerate
         self._trajectory.flush()
         self._velocity.flush()
 
-    def _note_degenerate(self, estimate: Estimate) -> None:
+    def _note_degenerate(self, stamp_ns: int, degenerate: bool) -> None:
         """Extend the stretches in which some direction of motion was not observable."""
         if self._degenerate:                # the time since such an estimate belongs to it
-            self._stretches[-1][1] = estimate.stamp_ns
-        elif estimate.degenerate:
-            self._stretches.append([estimate.stamp_ns, estimate.stamp_ns])
-        self._degenerate = estimate.degenerate
+            self._stretches[-1][1] = stamp_ns
+        elif degenerate:
+            self._stretches.append([stamp_ns, stamp_ns])
+        self._degenerate = degenerate
 
     def facts(self) -> dict[str, Any]:
         """Return poses, degenerate_s and degenerate_stretches (pairs of seconds)."""
@@ -197,6 +218,20 @@ def lost_scans(stamps_ns: ArrayLike) -> int:
         later = (stamps[i + 1:i + 9] - stamps[i]) / period
         lost += max(round(float(np.min(later - np.arange(1, len(later) + 1)))), 0)
     return lost
+
+
+def pose_gaps(stamps_ns: ArrayLike) -> list[tuple[int, int]]:
+    """
+    Return the stretches (from, to) in nanoseconds in which a path has no pose.
+
+    Such a stretch is longer than `LONGEST_STEP` seconds and five times the median step.
+    """
+    stamps = np.asarray(stamps_ns, dtype=np.int64)
+    steps = np.diff(stamps)
+    if not len(steps):
+        return []
+    wide = steps > max(LONGEST_STEP * 1e9, 5.0 * float(np.median(steps)))
+    return [(int(stamps[i]), int(stamps[i + 1])) for i in np.flatnonzero(wide)]
 
 
 def scanner_facts(
@@ -283,9 +318,16 @@ def _remarks(summary: Mapping[str, Any]) -> list[str]:
     if summary.get('degenerate_s', 0.0) >= 0.05:
         remarks.append(f'for {summary["degenerate_s"]:.1f} s the surroundings did not tell the '
                        'motion; it was carried on from before')
+    remarks += [f'no pose for {end - start:.1f} s from {start:.3f} on'
+                for start, end in summary.get('gaps', [])]
     if summary.get('rays_without_pose', 0) > 0.05 * max(summary['points'], 1):
         remarks.append(f'{summary["rays_without_pose"]} rays of the vertical scanners have no '
                        'pose at their time and were left out')
+    for what in ('roll', 'pitch'):
+        share = summary.get(f'{what}_stabilised', 1.0)
+        if share < 0.95 and summary['points']:
+            remarks.append(f'for {100.0 * (1.0 - share):.0f} % of the points neither road nor '
+                           f'walls told the {what}; it is left at zero there')
     return remarks
 
 
@@ -316,7 +358,9 @@ def _figures(folder: Path) -> dict[str, Any]:
     figures: dict[str, Any] = {'points': count_points(folder / PLY_NAME)}
     if (folder / TRAJECTORY_NAME).is_file():
         path = read_tum(folder / TRAJECTORY_NAME)
-        figures.update(distance_m=round(path.distance, 3), duration_s=round(path.duration, 6))
+        gaps = pose_gaps(path.stamps_ns)
+        figures.update(distance_m=round(path.distance, 3), duration_s=round(path.duration, 6),
+                       gaps=[[a * 1e-9, b * 1e-9] for a, b in gaps])
     if (folder / VELOCITY_NAME).is_file():
         _, values = read_velocity(folder / VELOCITY_NAME)
         if len(values):

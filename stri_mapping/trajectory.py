@@ -132,6 +132,13 @@ def tum_line(stamp_ns: int, pose: ArrayLike) -> str:
     return ' '.join([stamp_text(stamp_ns), *(f'{v:.9f}' for v in values)])
 
 
+def spatial_tum_line(stamp_ns: int, pose: ArrayLike) -> str:
+    """Return one TUM line, as `tum_line`, of a pose (6,): x, y, z, roll, pitch, yaw."""
+    values = np.asarray(pose, dtype=float)
+    quat = geometry.quat_from_rotation(geometry.rotation_from_rpy(*values[3:]))
+    return ' '.join([stamp_text(stamp_ns), *(f'{v:.9f}' for v in (*values[:3], *quat))])
+
+
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory as TUM text; the same result as `tum_line` for every pose."""
     lines = [tum_line(int(s), p) for s, p in zip(trajectory.stamps_ns, trajectory.poses)]
@@ -148,6 +155,30 @@ def read_tum(path: Path) -> Trajectory:
         If the file is missing or a line does not hold eight finite numbers.
 
     """
+    stamps, values = _read_lines(path)
+    yaw = np.unwrap(geometry.yaw_from_quat(values[:, 3:]))
+    return Trajectory(stamps, np.column_stack([values[:, :2], yaw]))
+
+
+def read_spatial_tum(path: Path) -> tuple[Stamps, Array]:
+    """
+    Read TUM text as stamps (n,) and poses (n, 6): x, y, z, roll, pitch, yaw (continuous).
+
+    Raises
+    ------
+    TrajectoryError
+        As `read_tum`.
+
+    """
+    stamps, values = _read_lines(path)
+    rpy = np.array([geometry.rpy_from_rotation(geometry.rotation_from_quat(q))
+                    for q in values[:, 3:]]).reshape(-1, 3)
+    rpy[:, 2] = np.unwrap(rpy[:, 2])
+    return stamps, np.column_stack([values[:, :3], rpy])
+
+
+def _read_lines(path: Path) -> tuple[Stamps, Array]:
+    """Return stamps (n,) and the numbers after them (n, 7) of a TUM file."""
     try:
         lines = path.read_text(encoding='utf-8').splitlines()
     except OSError as error:
@@ -166,7 +197,4 @@ def read_tum(path: Path) -> Trajectory:
         except ValueError:
             raise TrajectoryError(f'{path}:{number}: want "stamp x y z qx qy qz qw", '
                                   f'got "{line[:60]}"') from None
-    values = np.array(rows).reshape(-1, 7)
-    yaw = np.unwrap(geometry.yaw_from_quat(values[:, 3:]))
-    return Trajectory(np.array(stamps, dtype=np.int64),
-                      np.column_stack([values[:, :2], yaw]))
+    return np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, 7)

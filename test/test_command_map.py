@@ -26,8 +26,10 @@ from stri_mapping.results import read_summary, read_velocity
 from stri_mapping.trajectory import read_tum, Trajectory, write_tum
 
 SECONDS = 10.0
-FILES = {'trajectory.tum', 'velocity.csv', 'facade.laz', 'facade.ply', 'report.html',
-         'summary.json', 'range_image.npz'}
+FILES = {'trajectory.tum', 'trajectory_stabilised.tum', 'velocity.csv', 'facade.laz', 'facade.ply',
+         'report.html', 'summary.json', 'range_image.npz'}
+ELEVATION = {f'facade_elevation_1_{kind}.{end}' for kind in ('depth', 'intensity')
+             for end in ('png', 'pgw')}
 
 pytestmark = pytest.mark.skipif(not CAMPUS.is_dir(), reason=f'{CAMPUS} is not there')
 
@@ -57,7 +59,7 @@ def horizontal_stamps(bag: Path) -> list[int]:
 
 
 def test_the_results_folder_is_complete_and_agrees_with_itself(bag: Path, results: Path) -> None:
-    assert {p.name for p in results.iterdir()} == FILES
+    assert {p.name for p in results.iterdir()} == FILES | ELEVATION
     path, summary = read_tum(results / 'trajectory.tum'), read_summary(results)
     stamps = horizontal_stamps(bag)
     np.testing.assert_array_equal(path.stamps_ns, stamps)        # one line a horizontal scan
@@ -144,7 +146,8 @@ def test_one_horizontal_scanner_alone_gives_motion_and_no_facade(tmp_path: Path,
     alone = rewritten(bag, tmp_path / 'bag', lambda topic, raw: raw if topic in (
         '/horizontal/scan', '/tf_static') else None)
     assert main(['map', str(alone), '--output', str(tmp_path / 'out')]) == 0
-    assert {p.name for p in (tmp_path / 'out').iterdir()} == FILES - {'facade.laz', 'facade.ply'}
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == FILES - {
+        'facade.laz', 'facade.ply', 'trajectory_stabilised.tum'}
     assert read_summary(tmp_path / 'out')['points'] == 0
     page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     assert '<h2>Velocity</h2>' in page and '<h2>Facade' not in page
@@ -204,7 +207,7 @@ def test_a_bag_that_breaks_off_keeps_what_is_done(tmp_path: Path,
 
 
 def check_partial(folder: Path, message: str) -> None:
-    assert {p.name for p in folder.iterdir()} == FILES
+    assert {p.name for p in folder.iterdir()} == FILES | ELEVATION
     summary = read_summary(folder)
     assert not summary['complete'] and any(message in w for w in summary['warnings'])
     assert summary['poses'] == summary['scans'] > 300 and summary['points'] > 50_000

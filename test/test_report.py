@@ -13,11 +13,11 @@ import pytest
 from stri_mapping import geometry
 from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import CloudWriter
-from stri_mapping.facade.push_broom import FacadePoints
+from stri_mapping.facade.pictures import blended, Grid, nearest_depth, unroll
+from stri_mapping.facade.points import FACADE, FacadePoints, GROUND
 from stri_mapping.report import write_report
 from stri_mapping.report.data import read_folder
 from stri_mapping.report.facade_figures import facade_views
-from stri_mapping.report.facade_views import blended, Grid, nearest_depth, unroll
 from stri_mapping.results import MotionWriter, write_summary
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.trajectory import Trajectory
@@ -55,7 +55,8 @@ def write_cloud(folder: Path, path: Trajectory, side: float = 1.0) -> None:
     with CloudWriter(folder, ['side']) as cloud:
         cloud.write(FacadePoints(np.column_stack([place[:, :2], up]),
                                  rng.uniform(0, 255, 20_000).astype(np.float32), stamps,
-                                 np.zeros(20_000, np.uint16)))
+                                 np.zeros(20_000, np.uint16),
+                                 np.where(wall, FACADE, GROUND).astype(np.uint8)))
 
 
 def write_range_image(folder: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 from stri_mapping import __version__
 from stri_mapping.errors import StriMappingError, UsageError
 from stri_mapping.facade.cloud_files import CloudWriter, count_points, read_ply
-from stri_mapping.facade.push_broom import FacadePoints
+from stri_mapping.facade.points import FacadePoints
 from stri_mapping.results import (
     lost_scans,
     MotionWriter,
@@ -41,7 +41,8 @@ def some_points(count: int, seed: int = 0, brightest: float = 255.0) -> FacadePo
         rng.uniform([-300.0, -20.0, -1.0], [500.0, 40.0, 25.0], (count, 3)),
         rng.uniform(0.0, brightest, count).astype(np.float32),
         START_NS + rng.integers(0, 600 * 10**9, count),
-        rng.integers(0, 3, count).astype(np.uint16))
+        rng.integers(0, 3, count).astype(np.uint16),
+        rng.choice([1, 2, 5, 6, 7], count).astype(np.uint8))
 
 
 def estimate(index: int, degenerate: bool = False) -> Estimate:

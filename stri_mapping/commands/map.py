@@ -47,6 +47,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--vertical', nargs='+', metavar='TOPIC',
                         help='topics of vertical scanners (default: those of the vehicle that '
                         'are in the bag)')
+    parser.add_argument('--pcd', action='store_true', help='write facade.pcd too')
+    parser.add_argument('--e57', action='store_true', help='write facade.e57 too')
     parser.set_defaults(run=run)
 
 
@@ -70,16 +72,23 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from stri_mapping.bag_io import Bag, select_scanners
+    from stri_mapping.facade.export import export, FORMATS, require
     from stri_mapping.results import prepare_folder
     from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 
     console = Console()
+    wanted = [kind for kind in FORMATS if getattr(args, kind)]
+    for kind in wanted:
+        require(kind)
     vehicle = load_vehicle(args.vehicle or default_vehicle_file())
     with kept_messages() as messages, Bag(args.bag) as bag:
         vehicle = select_scanners(bag, vehicle, args.horizontal, args.vertical)
         prepare_folder(args.output, args.overwrite)
         try:
             failure = _map(bag, vehicle, args.output, messages, console)
+            for kind in wanted:
+                with console.status(f'Writing facade.{kind}'):
+                    export(args.output, kind)
         except OSError as error:
             raise StriMappingError(f'{error.filename or args.output}: {error.strerror}') from None
     if failure is not None:
@@ -92,6 +101,7 @@ def _map(
     bag: Bag, vehicle: Vehicle, folder: Path, messages: list[str], console: Console,
 ) -> BaseException | None:
     """Map a bag into a folder; return what stopped it, if anything, when all is written."""
+    from stri_mapping.facade.finish import finish_facades
     from stri_mapping.mapping import Mapper
     from stri_mapping.report import write_report
     from stri_mapping.results import write_summary
@@ -112,6 +122,8 @@ def _map(
                                    'few scans, or too little in their view')
     facts = {'source': str(bag.path), 'complete': failure is None, **mapper.facts(bag.counts),
              'messages': messages + ([str(failure) or 'interrupted'] if failure else [])}
+    with console.status('Drawing the facades'):
+        facts.update(finish_facades(folder))
     summary = write_summary(folder, facts)
     with console.status('Drawing the report'):
         write_report(folder)

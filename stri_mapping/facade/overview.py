@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Points kept: a message of 2.4 MB, some 300 m of street at the default voxel.
+LIMIT = 200_000
 # Range of a voxel's index along an axis: +-2^20 voxels, 200 km at the default size.
 INDEX_BITS = 21
 
@@ -21,12 +23,14 @@ class Overview:
     ----------
     voxel
         Edge length in metres.
+    limit
+        Points at most: where there would be more, voxels are doubled in edge length.
 
     """
 
-    def __init__(self, voxel: float = 0.2) -> None:
+    def __init__(self, voxel: float = 0.2, limit: int = LIMIT) -> None:
         """Start empty."""
-        self._voxel = voxel
+        self._voxel, self._limit = voxel, limit
         self._seen: set[int] = set()
         self._pieces: list[Array] = []
 
@@ -43,6 +47,11 @@ class Overview:
         self._seen.update(unique[new].tolist())
         if new.any():
             self._pieces.append(xyz[np.sort(first[new])])
+        if len(self._seen) > self._limit:
+            kept = self.points()
+            self._voxel *= 2.0
+            self._seen, self._pieces = set(), []
+            self.add(kept)
 
     def points(self) -> Array:
         """Return the points kept (m, 3), in the order they came."""

@@ -12,12 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stri_mapping import geometry
+from stri_mapping.facade.free_space import FreeSpace
+from stri_mapping.facade.placing import full_poses, place, rays_of
+from stri_mapping.facade.points import concatenate, FacadePoints, NOISE, Rays
+from stri_mapping.facade.stabiliser import Stabiliser
 from stri_mapping.scan import Scan
-from stri_mapping.trajectory import constant_speed, Trajectory
+from stri_mapping.trajectory import Trajectory
 from stri_mapping.vehicle import Scanner
 
 Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
 # Longest time between two poses that is bridged, seconds.  At street speed the twist of a car
 # changes by 1 m/s or so in that time: beyond it a ray would be placed by guesswork.
@@ -25,45 +29,10 @@ MAX_POSE_GAP = 0.5
 # How long scans and poses wait for each other, seconds of their stamps.  Refined poses come at
 # most 2 s late; the rest is for a machine that falls behind.  It bounds the memory.
 MAX_WAIT = 120.0
+# Longest silence of a scanner that is waited for, seconds.
+SILENCE = 2.0
 # Scans placed in one go: some 9 000 rays, whose arrays stay in a core's cache.
 BATCH = 48
-
-
-@dataclass(frozen=True, eq=False)
-class FacadePoints:
-    """
-    Points of the facades, one a ray that hit something.
-
-    Attributes
-    ----------
-    xyz
-        (n, 3) metres in odom; always finite.
-    intensity
-        (n,) float32 in the scanner's units; 0 where it gives none.
-    stamps_ns
-        (n,) int64 time of each ray in nanoseconds.
-    ring
-        (n,) uint16 index of the scanner among the vertical ones.
-
-    """
-
-    xyz: Array
-    intensity: NDArray[np.float32]
-    stamps_ns: NDArray[np.int64]
-    ring: NDArray[np.uint16]
-
-    def __len__(self) -> int:
-        """Return the number of points, which may be 0."""
-        return len(self.xyz)
-
-
-def concatenate(pieces: Sequence[FacadePoints]) -> FacadePoints:
-    """Return all points of some pieces, in order; none for no pieces."""
-    return FacadePoints(
-        np.concatenate([np.empty((0, 3)), *(p.xyz for p in pieces)]),
-        np.concatenate([np.empty(0, np.float32), *(p.intensity for p in pieces)]),
-        np.concatenate([np.empty(0, np.int64), *(p.stamps_ns for p in pieces)]),
-        np.concatenate([np.empty(0, np.uint16), *(p.ring for p in pieces)]))
 
 
 @dataclass
@@ -72,7 +41,8 @@ class AlignerCounts:
     What became of the scans and rays so far.
 
     Every ray of every scan that was kept ends in exactly one of `points`, `no_return` and
-    `outside` (no pose at its time), once its scan has been placed.
+    `outside` (no pose at its time), once its scan has been placed.  Of the points, `roll_told`
+    and `pitch_told` were stabilised in roll and pitch: road or walls told them at that time.
     """
 
     scans: int = 0
@@ -80,6 +50,8 @@ class AlignerCounts:
     points: int = 0
     no_return: int = 0
     outside: int = 0
+    roll_told: int = 0
+    pitch_told: int = 0
 
 
 class _Line(NamedTuple):
@@ -95,21 +67,41 @@ class FacadeAligner:
     """
     Places vertical scan lines where the vehicle was: p_odom = T_odom_base(t) T_base_laser p_laser.
 
-    Scans and final poses come in their own order of time, in any interleaving; the points are
-    the same for every interleaving, and so is their order for scans that arrive before the
-    poses they need.  A scan is placed once there is a pose at or after its last ray, and is then
-    forgotten.  A ray with no pose around it is counted and left out, never guessed: one before
-    the first pose, after the last, or in a gap of more than `MAX_POSE_GAP`.
+    Scans and final poses come in their own order of time, in any interleaving.  A scan waits
+    for a pose at or after its last ray, then for the roll, pitch and heave that its own and the
+    next second's lines tell (`stabiliser`), is placed, and forgotten.  The points are the same
+    for every interleaving in which scans come before the poses they need.  A ray with no pose
+    around it is counted and left out, never guessed: one before the first pose, after the last,
+    or in a gap of more than `MAX_POSE_GAP`.
+
+    Parameters
+    ----------
+    scanners
+        The vertical scanners; the index of each is its ring.
+    pivot
+        (3,) the point of base_link whose way the planar poses tell, metres: for poses from the
+        horizontal scanner, where that sits, since it moves when the body rolls and pitches.
+    stabilise
+        Whether roll, pitch and heave are estimated; else they are 0.
+
     """
 
-    def __init__(self, scanners: Sequence[Scanner]) -> None:
-        """Take the vertical scanners; the index of each is its ring."""
+    def __init__(self, scanners: Sequence[Scanner], pivot: ArrayLike = (0.0, 0.0, 0.0),
+                 stabilise: bool = True) -> None:
+        """Wait for scans and poses."""
         self.counts = AlignerCounts()
         self._T_base_laser = np.array([s.T_base_laser for s in scanners]).reshape(-1, 4, 4)
+        self._pivot = np.asarray(pivot, dtype=float)
+        self._stabiliser = Stabiliser(scanners)
+        self._stabilise = stabilise
+        self._free_space = FreeSpace(self._T_base_laser[:, :3, 3])
         self._last_stamps: list[int | None] = [None] * len(scanners)
+        self._pose_when_heard = -np.inf         # newest pose when a scan last came
         self._waiting: list[_Line] = []
+        self._surveyed: list[tuple[Rays, NDArray[np.uint8]]] = []
         self._poses = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
-        self._new_poses: list[tuple[NDArray[np.int64], Array]] = []
+        self._new_poses: list[tuple[Stamps, Array]] = []
+        self._untaken: list[tuple[Stamps, Array]] = []
         self._newest_pose: int | None = None
         self._finished = False
 
@@ -130,6 +122,7 @@ class FacadeAligner:
             self.counts.out_of_order += 1
             return
         self._last_stamps[ring] = scan.stamp_ns
+        self._pose_when_heard = -np.inf if self._newest_pose is None else self._newest_pose
         self.counts.scans += 1
         self._waiting.append(_Line(scan.stamp_ns, ring, scan.end_ns, scan))
 
@@ -151,11 +144,25 @@ class FacadeAligner:
             stamps, poses = stamps[new], np.asarray(poses, dtype=float)[new]
         if len(stamps):
             self._new_poses.append((stamps, np.array(poses, dtype=float)))
+            self._untaken.append(self._new_poses[-1])
             self._newest_pose = int(stamps[-1])
 
     def finish(self) -> None:
         """Make everything final: no scan and no pose will follow."""
         self._finished = True
+
+    def warm_up(self) -> None:
+        """Compile what is compiled at its first use, with lines that are then forgotten."""
+        if not len(self._T_base_laser):
+            return
+        angles = np.linspace(-1.5, 1.5, 40)
+        scans = [Scan(k * 10**8, np.full(40, 3.0), angles, np.zeros(40)) for k in range(20)]
+        trial = FacadeAligner([Scanner('', 'vertical', self._T_base_laser[0], '', '')])
+        for scan in scans:
+            trial.add_scan(0, scan)
+        trial.add_poses([scan.stamp_ns for scan in scans], np.zeros((len(scans), 3)))
+        trial.finish()
+        trial.take_points()
 
     def take_points(self) -> FacadePoints:
         """
@@ -167,7 +174,68 @@ class FacadeAligner:
         self._join_poses()
         ready, self._waiting = self._split_waiting()
         ready.sort(key=attrgetter('stamp_ns', 'ring'))
-        return concatenate([self._place(ready[i:i + BATCH]) for i in range(0, len(ready), BATCH)])
+        for i in range(0, len(ready), BATCH):
+            rays = self._rays(ready[i:i + BATCH])
+            if len(rays):
+                label = self._stabiliser.add(rays)
+                label[self._free_space.moving(rays)] = NOISE
+                self._surveyed.append((rays, label))
+        if self._finished:
+            self._stabiliser.finish()
+        elif self._newest_pose is not None:
+            self._stabiliser.advance(self._known_ns(self._newest_pose))
+        return concatenate([self._place(*each) for each in self._take_final()])
+
+    def _known_ns(self, newest_pose: int) -> int:
+        """
+        Return the time up to which poses and scans have come.
+
+        On a busy machine scans may be seconds behind their poses.  A scanner that is silent for
+        longer than `SILENCE` while others are not, or all while the poses go on, is not waited
+        for.
+        """
+        heard = [stamp for stamp in self._last_stamps if stamp is not None]
+        if not heard or newest_pose - self._pose_when_heard > SILENCE * 1e9:
+            return newest_pose
+        return min(newest_pose, *(s for s in heard if s >= max(heard) - SILENCE * 1e9))
+
+    def take_poses(self) -> tuple[Stamps, Array]:
+        """
+        Return the poses whose attitude became final since the last call, each once.
+
+        To be called after `take_points`; after `finish` it returns all there are.
+
+        Returns
+        -------
+        stamps_ns : Stamps
+            (n,) nanoseconds, those of `add_poses`.
+        poses : Array
+            (n, 6) of base_link in odom: x, y, z in metres, roll, pitch, yaw in radians.
+
+        """
+        stamps = np.concatenate([np.empty(0, np.int64), *(s for s, _ in self._untaken)])
+        poses = np.concatenate([np.empty((0, 3)), *(p for _, p in self._untaken)])
+        count = int(np.searchsorted(stamps, self._final_ns()))
+        self._untaken = [(stamps[count:], poses[count:])]
+        attitude, _ = self._attitude(stamps[:count])
+        return stamps[:count], full_poses(poses[:count], attitude, self._pivot)
+
+    def _final_ns(self) -> float:
+        """Return the time before which attitudes are final."""
+        if self._finished or not self._stabilise or self._newest_pose is None:
+            return np.inf
+        final = self._stabiliser.final_ns
+        # without lines there is nothing to wait for but the lines themselves
+        return self._newest_pose - 1e9 if final is None else final
+
+    def _take_final(self) -> list[tuple[Rays, NDArray[np.uint8]]]:
+        """Return the lines whose attitude is final."""
+        final = np.inf if self._stabiliser.final_ns is None else self._final_ns()
+        count = 0
+        while count < len(self._surveyed) and self._surveyed[count][0].stamps_ns.max() < final:
+            count += 1
+        taken, self._surveyed = self._surveyed[:count], self._surveyed[count:]
+        return taken
 
     def _join_poses(self) -> None:
         """Append the poses that came and drop those that no scan will ask for."""
@@ -192,71 +260,25 @@ class FacadeAligner:
         ready = [line for line in self._waiting if line.end_ns <= limit]
         return ready, [line for line in self._waiting if line.end_ns > limit]
 
-    def _place(self, lines: Sequence[_Line]) -> FacadePoints:
-        """Place some scan lines; rays without return or without a pose are counted, left out."""
-        scans = [line.scan for line in lines]
-        counts = [len(scan) for scan in scans]
-        hit = np.concatenate([scan.valid for scan in scans])
-        stamps = np.repeat([scan.stamp_ns for scan in scans], counts)[hit]
-        stamps += np.rint(_join(scans, 'times')[hit] * 1e9).astype(np.int64)
-        poses = self._poses.at(stamps, MAX_POSE_GAP)
-        known = ~np.isnan(poses[:, 0])
-        self.counts.no_return += len(hit) - len(stamps)
-        self.counts.outside += len(stamps) - int(np.count_nonzero(known))
-        self.counts.points += int(np.count_nonzero(known))
-        hit[hit] = known
-        ring = np.repeat([line.ring for line in lines], counts)[hit]
-        base = self._in_base(_join(scans, 'ranges')[hit], _join(scans, 'angles')[hit], ring)
-        return FacadePoints(from_base(poses[known], base), _intensity(scans)[hit], stamps[known],
-                            ring.astype(np.uint16))
+    def _rays(self, lines: Sequence[_Line]) -> Rays:
+        """Return the rays of some lines; those without return or pose are counted, left out."""
+        rays, no_return, outside = rays_of(
+            [line.scan for line in lines], [line.ring for line in lines], self._T_base_laser,
+            self._poses, MAX_POSE_GAP)
+        self.counts.no_return += no_return
+        self.counts.outside += outside
+        self.counts.points += len(rays)
+        return rays
 
-    def _in_base(self, ranges: Array, angles: Array, ring: NDArray[np.intp]) -> Array:
-        """Return rays (n,) of the scan planes as points (n, 3) of base_link."""
-        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
-        rows = self._T_base_laser[:, :3].transpose(1, 2, 0)
-        return np.stack([x * r[0][ring] + y * r[1][ring] + r[3][ring] for r in rows], axis=1)
+    def _attitude(self, stamps: Stamps) -> tuple[Array, NDArray[np.bool_]]:
+        if not self._stabilise:
+            return np.zeros((len(stamps), 3)), np.zeros((len(stamps), 2), dtype=bool)
+        return self._stabiliser.at(stamps)
 
-
-def _join(scans: Sequence[Scan], field: str) -> Array:
-    return np.concatenate([getattr(scan, field) for scan in scans])
-
-
-def _intensity(scans: Sequence[Scan]) -> NDArray[np.float32]:
-    """Return the intensity of every ray; 0 where the scanner gives none."""
-    given = [np.zeros(len(s)) if s.intensities is None else s.intensities for s in scans]
-    return np.nan_to_num(np.concatenate(given)).astype(np.float32)
-
-
-def from_base(poses: Array, points: Array) -> Array:
-    """Return points (n, 3) of base_link in odom, each by its own planar pose (n, 3)."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y, z = points.T
-    return np.stack([poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y, z], axis=1)
-
-
-def at_constant_speed(xyz: Array, stamps_ns: ArrayLike, trajectory: Trajectory) -> Array:
-    """
-    Return the points as they would lie had the vehicle driven straight at its mean speed.
-
-    This is the facade before alignment, as the paper shows it (figures 12 and 13), made from the
-    finished cloud alone: p_before = T_mean(t) T(t)^-1 p.
-
-    Parameters
-    ----------
-    xyz
-        (n, 3) points in odom, metres.
-    stamps_ns
-        (n,) times of their rays, nanoseconds.
-    trajectory
-        The poses the points were placed with.
-
-    Returns
-    -------
-    Array
-        (n, 3); NaN where the trajectory has no pose.
-
-    """
-    planar = np.column_stack([xyz[:, :2], np.zeros(len(xyz))])
-    base = geometry.compose(geometry.inverse(trajectory.at(stamps_ns)), planar)
-    moved = geometry.compose(constant_speed(trajectory).at(stamps_ns), base)
-    return np.column_stack([moved[:, :2], xyz[:, 2] + 0.0 * moved[:, 0]])
+    def _place(self, rays: Rays, label: NDArray[np.uint8]) -> FacadePoints:
+        """Place rays whose attitude is final."""
+        attitude, told = self._attitude(rays.stamps_ns)
+        self.counts.roll_told += int(np.count_nonzero(told[:, 0]))
+        self.counts.pitch_told += int(np.count_nonzero(told[:, 1]))
+        xyz = place(rays.base, rays.poses, attitude, self._pivot)
+        return FacadePoints(xyz, rays.intensity, rays.stamps_ns, rays.ring, label)

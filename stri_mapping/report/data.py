@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import count_points, PLY_NAME, read_ply
-from stri_mapping.facade.push_broom import at_constant_speed
+from stri_mapping.facade.placing import at_constant_speed
 from stri_mapping.results import (
     EVALUATION_NAME,
     RANGE_IMAGE_NAME,

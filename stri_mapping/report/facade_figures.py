@@ -12,8 +12,8 @@ from matplotlib.image import AxesImage
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.facade.pictures import blended, Grid, nearest_depth, unroll, Unrolled
 from stri_mapping.report.data import Cloud, GROUND
-from stri_mapping.report.facade_views import blended, Grid, nearest_depth, unroll, Unrolled
 from stri_mapping.report.figures import colour_bar, INK, OUTLIERS, style, WIDTH
 from stri_mapping.trajectory import constant_speed, Trajectory
 

@@ -130,6 +130,7 @@ def _quality(data: ReportData) -> str:
                ('backwards', 'backwards_scans'), ('empty', 'scans_without_return')]
     rows = [[str(s.get(key, '')) for _, key in columns] for s in data.summary.get('scanners', [])]
     html = '<h2>Quality</h2>' + _table([name for name, _ in columns], rows) if rows else ''
+    html += _cloud_quality(data.summary.get('facade_quality', {}))
     metrics = data.evaluation.get('metrics', [])
     if metrics:
         html += f'<h2>Errors against {escape(Path(str(data.evaluation["truth"])).name)}</h2>'
@@ -137,6 +138,23 @@ def _quality(data: ReportData) -> str:
             [m['text'], '–' if m['value'] is None else f'{m["value"]:.4g}', m['unit']]
             for m in metrics])
     return f'<section>{html}</section>' if html else ''
+
+
+def _cloud_quality(stages: Mapping[str, Mapping[str, float | None]]) -> str:
+    """Return the table of what the cloud tells of itself before and after each stage."""
+    if not stages:
+        return ''
+    names = {'at_constant_speed': 'straight at the mean speed', 'aligned': 'aligned, planar',
+             'stabilised': 'stabilised'}
+    columns = [('surfaces compared', 'cubes', '{:.0f}'),
+               ('thickness, mm', 'thickness_mm', '{:.1f}'),
+               ('scanners differ by, mm', 'agreement_mm', '{:.1f}'),
+               ('doubled', 'doubled', '{:.1%}'), ('walls lean, deg', 'lean_deg', '{:.2f}')]
+    rows = [[names.get(stage, stage), *('–' if figures[key] is None else form.format(figures[key])
+                                        for _, key, form in columns)]
+            for stage, figures in stages.items()]
+    return '<h2>The cloud, told by itself</h2>' + _table(
+        ['', *(name for name, _, _ in columns)], rows)
 
 
 def _footer(summary: Mapping[str, Any]) -> str:
