@@ -2,7 +2,7 @@
 # that happens to be sourced in this shell is left out, because the two do not mix.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint
+.PHONY: help setup demo test lint readme
 
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # No packet of a demo or a test leaves this machine.
@@ -19,6 +19,7 @@ help:
 	@echo 'make demo    play the included drive through the live nodes; results in out/demo/'
 	@echo 'make test    run linters and the whole test suite'
 	@echo 'make lint    run the linters alone'
+	@echo 'make readme  renew the tables of parameters in README.md'
 	@echo 'make setup   install everything into .venv (the others do it by themselves)'
 
 setup: $(STAMP)
@@ -28,7 +29,8 @@ $(STAMP): setup.py setup.cfg pyproject.toml
 	@echo 'Setting up .venv: a download of some 400 MB, two minutes or so'
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { rm -rf .venv; \
 		echo 'No .venv could be made. On Debian and Ubuntu: apt install python3-venv'; exit 1; }
-	$(BIN)/python -m pip install --disable-pip-version-check -e '.[ros,simulation,test]'
+	$(BIN)/python -m pip install --disable-pip-version-check -e '.[ros,simulation,viewer,test]'
+	$(BIN)/python -m stri_mapping.build_tf2_msgs
 	@touch $@
 
 demo: setup
@@ -37,6 +39,10 @@ demo: setup
 lint: setup
 	$(BIN)/ruff check --config .ci/ruff.toml .
 	$(BIN)/mypy
+
+# The README's tables of parameters, from the nodes' declarations.
+readme: setup
+	$(BIN)/python -m stri_mapping.nodes.describe README.md
 
 test: lint
 	$(BIN)/python -m pytest

@@ -23,17 +23,24 @@ setup(
         'matplotlib',
         'numba',
         'numpy',
+        'pillow',
         'plyfile',
+        'pyserial',
         'rich',
         'rosbags>=0.10',
         'scipy',
+        'setproctitle',
     ],
     extras_require={
         # For machines without an installed ROS 2; never mixed with one from apt.
         'ros': ['ros-jazzy-common-interfaces==5.3.6', 'ros-jazzy-rclpy[fastrtps]==7.1.6'],
         'simulation': ['embreex'],
-        'test': ['colcon-common-extensions', 'hypothesis', 'mypy', 'pytest', 'ruff',
-                 'types-PyYAML'],
+        'viewer': ['foxglove-sdk>=0.16'],
+        # Further formats of the cloud: `map --pcd` and `map --e57`.
+        'pcd': ['pypcd4'],
+        'e57': ['pye57'],
+        'test': ['colcon-common-extensions', 'cyclonedds', 'hypothesis', 'mcap', 'mypy', 'pye57',
+                 'pypcd4', 'pytest', 'ruff', 'types-PyYAML', 'websockets', 'zstandard'],
     },
     zip_safe=True,
     maintainer='The stri_mapping authors',
@@ -43,9 +50,13 @@ setup(
     entry_points={
         'console_scripts': [
             'stri-mapping = stri_mapping.cli:main',
+            'sick_lms_driver = stri_mapping.nodes.sick_lms_driver:main',
             'stri_estimator = stri_mapping.nodes.stri_estimator:main',
             'facade_aligner = stri_mapping.nodes.facade_aligner:main',
             'bag_player = stri_mapping.nodes.bag_player:main',
+            'bag_recorder = stri_mapping.nodes.bag_recorder:main',
+            'viewer = stri_mapping.nodes.viewer:main',
+            'virtual_vehicle = stri_mapping.nodes.virtual_vehicle:main',
         ],
     },
 )

@@ -66,7 +66,9 @@ class Bag:
         if not self.path.exists():
             raise BagError(f'{self.path}: no such file or directory')
         if self.path.is_dir() and not (self.path / 'metadata.yaml').is_file():
-            raise BagError(f'{self.path}: not a bag: it holds no metadata.yaml')
+            cut = any(self.path.glob('*.mcap'))
+            raise BagError(f'{self.path}: not a bag: it holds no metadata.yaml' + (
+                ' (if the recording was cut off, run "stri-mapping repair")' if cut else ''))
         try:
             self._reader = AnyReader([self.path],
                                      default_typestore=get_typestore(Stores.ROS2_JAZZY))
@@ -98,6 +100,11 @@ class Bag:
     def scan_topics(self) -> list[str]:
         """Topics that hold LaserScan messages, sorted."""
         return sorted(t for t, kind in self.topics.items() if kind == LASER_SCAN)
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message, nanoseconds."""
+        return int(self._reader.start_time)
 
     @property
     def duration_ns(self) -> int:

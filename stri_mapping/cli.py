@@ -8,6 +8,7 @@ import argparse
 from collections.abc import Sequence
 from importlib import import_module
 import logging
+import os
 from pkgutil import iter_modules
 import sys
 
@@ -44,6 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except StriMappingError as error:
         print(f'stri-mapping {args.command}: {error}', file=sys.stderr)
         return EXIT_USAGE if isinstance(error, UsageError) else EXIT_DATA
+    except BrokenPipeError:             # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DATA
     except KeyboardInterrupt:
         print(f'stri-mapping {args.command}: interrupted', file=sys.stderr)
         return EXIT_INTERRUPTED

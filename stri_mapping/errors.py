@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that callers can act on; each message is one line a user can follow."""
 
-# Exit codes of commands and nodes.
-EXIT_DATA, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+# Exit codes of commands and nodes; EXIT_CRASH is a fault of the program itself.
+EXIT_DATA, EXIT_USAGE, EXIT_CRASH, EXIT_INTERRUPTED = 1, 2, 70, 130
 
 
 class StriMappingError(Exception):
@@ -26,5 +26,13 @@ class TrajectoryError(StriMappingError):
     """A trajectory file or operation that cannot be honoured."""
 
 
+class LmsError(StriMappingError):
+    """A scanner, its port or its bytes are not what they should be."""
+
+
 class UsageError(StriMappingError):
     """A command was called with arguments that cannot work together."""
+
+
+class LmsSettingError(LmsError, UsageError):
+    """Settings that the scanner which was found does not have."""

@@ -1,127 +1,83 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The live graph's processes under one supervisor: started, watched and ended in order.
+The live graph's processes under one supervisor: started, watched, restarted, ended in order.
 
 It serves where ROS 2's own launch system is not to be had, and knows what that does not: that
-the drive is over when its source has ended, and that each node must be stopped only after the
-one that feeds it has given everything.
+the drive is over when its source has ended, that each node must be stopped only after the one
+that feeds it has given everything, and that a node which died goes on with what it has on disk.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 import signal
-import subprocess
 import sys
-import threading
 import time
 from types import FrameType, TracebackType
 
 import yaml
 
-# Tells a node the process id of its supervisor, which it does not outlive.
-SUPERVISOR_VARIABLE = 'STRI_MAPPING_SUPERVISOR'
-# Seconds a node may take for its end: it takes in its backlog and writes its results.
-PATIENCE = 120.0
+from stri_mapping.errors import EXIT_DATA, EXIT_USAGE
+from stri_mapping.node_process import Child, describe, NodeSpec
+
 POLL = 0.02
+# Seconds between two looks of who watches the run.
+LOOK = 0.5
 COLOURS = ('\033[36m', '\033[33m', '\033[35m', '\033[32m', '\033[34m')
 PLAIN = '\033[0m'
-NAME_WIDTH = 14
-
-
-class Child:
-    """
-    One node as a process of its own group; its output is passed on with its name before it.
-
-    Parameters
-    ----------
-    name
-        Module of the node in `stri_mapping.nodes`.
-    parameters
-        YAML file with its parameters.
-    colour
-        Terminal sequence for the name; empty for none.
-
-    """
-
-    def __init__(self, name: str, parameters: Path, colour: str = '') -> None:
-        """Start the process."""
-        self.name = name
-        environment = {
-            **os.environ, SUPERVISOR_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
-            'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{severity}: {message}'}
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', f'stri_mapping.nodes.{name}', '--ros-args', '--params-file',
-             str(parameters)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, errors='replace', env=environment, start_new_session=True)
-        self._prefix = f'{colour}{name:<{NAME_WIDTH}}{PLAIN if colour else ""} | '
-        self._pump = threading.Thread(target=self._pass_on, daemon=True)
-        self._pump.start()
-
-    def _pass_on(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            try:
-                print(f'{self._prefix}{line.rstrip()}', flush=True)
-            except OSError:         # nobody reads on; the node must not block for it
-                pass
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send a signal to the process and what it may have started."""
-        try:
-            os.killpg(self.process.pid, number)
-        except ProcessLookupError:
-            pass
-
-    def end(self, patience: float = PATIENCE) -> int:
-        """Stop the process as by Ctrl-C, kill it when it does not end; return its exit code."""
-        if self.process.poll() is None:
-            self.signal(signal.SIGINT)
-        try:
-            self.process.wait(patience)
-        except subprocess.TimeoutExpired:
-            print(f'{self._prefix}did not end within {patience:.0f} s: killed', flush=True)
-            self.signal(signal.SIGKILL)
-        code = self.process.wait()
-        self._pump.join(1.0)
-        return code
+# Terminated at once when the supervisor is told a second time.
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Supervisor:
     """
-    Runs some nodes until their source ends, one of them fails, or Ctrl-C; a context manager.
+    Runs some nodes until their source ends, a vital one fails for good, or Ctrl-C.
 
-    On leaving the context no process is left.  The first SIGINT or SIGTERM ends the run in order;
-    a second one kills everything.
+    A context manager, on leaving which no process is left.  The first SIGINT or SIGTERM ends the
+    run in order; a second one kills everything.
 
     Parameters
     ----------
     folder
         Existing folder; the nodes' parameters are kept there as parameters.yaml.
-    parameters
-        By node: its parameters.
+    stages
+        The nodes in the order in which they are to end, those of one stage together.
+
+    Attributes
+    ----------
+    interrupted
+        Whether a signal came.
+    failure
+        Which node failed for good and how, if one that is vital did.
+    remarks
+        What happened to nodes without ending the run, one line each.
 
     """
 
-    def __init__(self, folder: Path, parameters: Mapping[str, Mapping[str, object]]) -> None:
+    def __init__(self, folder: Path, stages: Sequence[Sequence[NodeSpec]]) -> None:
         """Remember what to run; nothing is started before `run`."""
         self.interrupted = False
-        self.failure: str | None = None          # which node failed and how
-        self._children: list[Child] = []
-        self._names = list(parameters)
-        self._file = folder / 'parameters.yaml'
-        self._file.write_text(yaml.safe_dump(
-            {name: {'ros__parameters': dict(values)} for name, values in parameters.items()},
+        self.failure: str | None = None
+        self.remarks: list[str] = []
+        specs = [spec for stage in stages for spec in stage]
+        file = folder / 'parameters.yaml'
+        file.write_text(yaml.safe_dump(
+            {f'/{spec.name}': {'ros__parameters': dict(spec.parameters)} for spec in specs},
             sort_keys=False), encoding='utf-8')
+        width = max(len(spec.name) for spec in specs)
+        colours = COLOURS if sys.stdout.isatty() else ('',)
+        children = [Child(spec, file, f'{colours[i % len(colours)]}{spec.name:<{width}}'
+                          f'{PLAIN if colours[0] else ""} | ') for i, spec in enumerate(specs)]
+        self.children = tuple(children)
+        rest = iter(children)
+        self._stages = [[next(rest) for _ in stage] for stage in stages]
 
     def __enter__(self) -> Supervisor:
         """Take over SIGINT and SIGTERM."""
         self._handlers = {number: signal.signal(number, self._on_signal)
-                          for number in (signal.SIGINT, signal.SIGTERM)}
+                          for number in STOP_SIGNALS}
         return self
 
     def __exit__(
@@ -131,7 +87,8 @@ class Supervisor:
         trace: TracebackType | None,
     ) -> None:
         """Kill what is still there, and give the signals back."""
-        for child in self._children:
+        for child in self._running():
+            child.drop_spare()
             child.signal(signal.SIGKILL)
             child.process.wait()
         for number, handler in self._handlers.items():
@@ -142,9 +99,22 @@ class Supervisor:
             raise KeyboardInterrupt
         self.interrupted = True
 
-    def run(self) -> int:
+    def _running(self) -> list[Child]:
+        return [child for child in self.children if child.started]
+
+    def run(
+        self, look: Callable[[Sequence[Child]], None] = lambda _: None,
+        ready: Callable[[str], bool] = lambda _: True,
+    ) -> int:
         """
-        Run the graph, the first node being its source: when it ends, all is over.
+        Run the graph.
+
+        Parameters
+        ----------
+        look
+            Called with all nodes every half second.
+        ready
+            Whether a node, by its name, is ready for others to be started.
 
         Returns
         -------
@@ -153,36 +123,72 @@ class Supervisor:
             signal killed it).
 
         """
-        colours = COLOURS if sys.stdout.isatty() else ('',)
-        for index, name in enumerate(self._names):
-            self._children.append(Child(name, self._file, colours[index % len(colours)]))
-        failed = self._watch()
-        codes = {child.name: child.end() for child in self._children}
+        failed = self._watch(look, ready)
+        codes = self._end(look)
+        for child in self._running():
+            self.remarks += [f'{child.spec.name} {why}; it was started again'
+                             for why in child.restarts]
+            if codes[child] and child.failure is None:
+                child.failure = describe(codes[child])
+            if child.failure is not None and child.spec.vital:
+                failed = failed or child
+            elif child.failure is not None:
+                self.remarks.append(f'{child.spec.name} {child.failure}')
         if failed is None:
-            failed = next((child for child in self._children if codes[child.name]), None)
-        if failed is None:
-            return 0
-        code = codes[failed.name]
-        self.failure = f'{failed.name} {describe(code)}'
+            return next((EXIT_DATA for c in self._running() if c.failure is not None), 0)
+        self.failure = f'{failed.spec.name} {failed.failure}'
         print(self.failure, file=sys.stderr, flush=True)
-        return max(code, 1)
+        return max(codes[failed], EXIT_DATA)
 
-    def _watch(self) -> Child | None:
-        """Wait for the end of the source or an interrupt; return a node that failed before."""
-        source = self._children[0]
+    def _watch(
+        self, look: Callable[[Sequence[Child]], None], ready: Callable[[str], bool],
+    ) -> Child | None:
+        """Keep the nodes running until the end; return the one whose failure is the end."""
+        looked = 0.0
         while not self.interrupted:
-            for child in self._children:
-                code = child.process.poll()
-                if code is not None and (code != 0 or child is not source):
-                    return child
-            if source.process.poll() == 0:
-                return None
+            for child in self.children:
+                if not child.started:
+                    if self._may_start(child, ready):
+                        child.start()
+                elif (code := child.process.poll()) is not None and child.failure is None:
+                    if child.spec.source and code == 0:
+                        return None
+                    if self._is_lost(child, code):
+                        return child
+                else:
+                    child.keep_spare()
+            if time.monotonic() > looked + LOOK:
+                looked = time.monotonic()
+                look(self.children)
             time.sleep(POLL)
         return None
 
+    def _may_start(self, child: Child, ready: Callable[[str], bool]) -> bool:
+        return not child.spec.waits or all(
+            other.started and ready(other.spec.name)
+            for other in self.children if not other.spec.waits)
 
-def describe(code: int) -> str:
-    """Return in words how a process ended."""
-    if code < 0:
-        return f'was killed by {signal.Signals(-code).name}'
-    return f'failed with exit code {code}' if code else 'ended before its source'
+    def _is_lost(self, child: Child, code: int) -> bool:
+        """See to a node that ended; return whether that is the end of the run."""
+        gave_up = code in (0, EXIT_DATA, EXIT_USAGE)        # it has said why
+        if child.spec.restarts and not gave_up and not child.hopeless:
+            child.revive(code)
+            return False
+        child.failure = describe(code)
+        if not child.spec.vital:
+            child.say(child.failure)
+        return child.spec.vital
+
+    def _end(self, look: Callable[[Sequence[Child]], None]) -> dict[Child, int]:
+        """End the stages one after the other; return the exit codes."""
+        codes = {}
+        for child in self._running():
+            child.drop_spare()
+        for stage in self._stages:
+            running = [child for child in stage if child.started]
+            for child in running:
+                child.ask_to_end()
+            for child in running:
+                codes[child] = child.end()
+            look(self.children)
+        return codes

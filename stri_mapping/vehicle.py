@@ -129,9 +129,9 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
     path.write_text(yaml.safe_dump({'scanners': entries}, sort_keys=False), encoding='utf-8')
 
 
-def default_vehicle_file() -> Path:
+def shared_file(name: str) -> Path:
     """
-    Return the config/vehicle.yaml that came with the package.
+    Return a file that came with the package, such as config/vehicle.yaml.
 
     Raises
     ------
@@ -139,13 +139,18 @@ def default_vehicle_file() -> Path:
         If no installed copy is found.
 
     """
-    share = Path('share/stri_mapping/config/vehicle.yaml')
+    share = Path('share/stri_mapping') / name
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
-    source = Path(str(files('stri_mapping'))).parent / 'config' / 'vehicle.yaml'
+    source = Path(str(files('stri_mapping'))).parent / name
     for path in [source, *(Path(p) / share for p in prefixes if p)]:
         if path.is_file():
             return path
-    raise VehicleError('config/vehicle.yaml was not installed; name one with --vehicle')
+    raise VehicleError(f'{name} was not installed with the package')
+
+
+def default_vehicle_file() -> Path:
+    """Return the config/vehicle.yaml that came with the package."""
+    return shared_file('config/vehicle.yaml')
 
 
 def load_vehicle(path: Path) -> Vehicle:

@@ -19,8 +19,9 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from stri_mapping.bag_io import Bag, select_scanners
+from stri_mapping.facade.cloud_files import read_ply
 from stri_mapping.mapping import Mapper
-from stri_mapping.supervisor import SUPERVISOR_VARIABLE
+from stri_mapping.node_process import SUPERVISOR_VARIABLE
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 
 CAMPUS = Path(__file__).parent.parent / 'bags' / 'campus'
@@ -86,13 +87,13 @@ def command(*arguments: object, env: dict[str, str]) -> Iterator[subprocess.Pope
 
 
 @contextmanager
-def node(module: str, parameters: dict[str, object], env: dict[str, str],
+def node(module: str, parameters: dict[str, object], env: dict[str, str], *extra: str,
          ) -> Iterator[subprocess.Popen[str]]:
-    """Start one node on its own."""
+    """Start one node on its own, with further arguments for ROS."""
     given = [part for name, value in parameters.items() for part in ('-p', f'{name}:={value}')]
     process = subprocess.Popen(
-        [sys.executable, '-m', f'stri_mapping.nodes.{module}', '--ros-args', *given], env=env,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        [sys.executable, '-m', f'stri_mapping.nodes.{module}', '--ros-args', *given, *extra],
+        env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         yield process
     finally:
@@ -154,7 +155,7 @@ def node_pid(supervisor: int, module: str) -> int:
     """Return the process of one node of a supervisor."""
     return next(pid for pid in node_pids(supervisor)
                 if f'stri_mapping.nodes.{module}'.encode()
-                in Path(f'/proc/{pid}/cmdline').read_bytes().split(b'\0'))
+                in Path(f'/proc/{pid}/cmdline').read_bytes())
 
 
 def wait_until(condition: Callable[[], object], what: str) -> None:
@@ -163,6 +164,26 @@ def wait_until(condition: Callable[[], object], what: str) -> None:
     while not condition():
         assert time.monotonic() < end, f'never came: {what}'
         time.sleep(0.02)
+
+
+@contextmanager
+def small_disk(folder: Path, size: str) -> Iterator[Path]:
+    """Give a disk of some size, such as 2m; skip the test where none can be mounted."""
+    disk = folder / 'disk'
+    disk.mkdir()
+    done = subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', disk],
+                          check=False, capture_output=True)
+    if done.returncode:
+        pytest.skip('only root may mount a small disk')
+    try:
+        yield disk
+    finally:
+        subprocess.run(['umount', '--lazy', disk], check=True)
+
+
+def point_count(folder: Path) -> int:
+    """Return how many points a results folder holds."""
+    return sum(len(rows) for rows in read_ply(folder / 'facade.ply'))
 
 
 def line_count(path: Path) -> int:

@@ -59,7 +59,8 @@ def test_a_command_loads_no_other_command():
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['fly'], ['run'], ['play'], ['map'], ['run', '--bag', 'x', '--rate', '-1'],
+    [], ['fly'], ['play'], ['record'], ['repair'], ['map'], ['run', '--bag', 'x', '--rate', '-1'],
+    ['run', '--bag', 'x', '--simulate', 'street'],
     ['play', 'x', '--rate', 'nan'], ['play', 'x', '--rate', 'fast'],
 ])
 def test_wrong_usage_is_exit_code_2(arguments, capsys):

@@ -36,8 +36,8 @@ class FakeNode:
         self.spun = None
 
     def create_publisher(self, kind, topic, qos):
-        assert (kind, topic) == (TFMessage, '/tf')
-        return SimpleNamespace(publish=self.published.append)
+        assert kind is TFMessage
+        return SimpleNamespace(publish=lambda message: self.published.append((topic, message)))
 
     def create_subscription(self, kind, topic, callback, qos):
         assert topic == '/tf_static'
@@ -78,7 +78,8 @@ def test_a_mount_on_tf_static_wins_and_the_difference_is_said(tf, caplog):
     node = FakeNode([TFMessage([static('horizontal_laser', 3.0, turned),
                                 static('vertical_side_laser', 9.0, parent='roof')])])
     with caplog.at_level(logging.WARNING):
-        vehicle = transforms.mounts_from_tf(node, NodeSettings(tf_static_wait=0.05))
+        vehicle, heard = transforms.mounts_from_tf(node, NodeSettings(tf_static_wait=0.05))
+    assert heard == {'horizontal_laser'}
     file = NodeSettings().vehicle()
     np.testing.assert_allclose(vehicle.horizontal.planar_mount, [3.0, 0.0, np.pi / 2])
     for got, said in zip(vehicle.verticals, file.verticals):    # a mount on the roof is not ours
@@ -89,7 +90,8 @@ def test_a_mount_on_tf_static_wins_and_the_difference_is_said(tf, caplog):
 
 def test_no_waiting_means_the_file(tf):
     node = FakeNode([TFMessage([static('horizontal_laser', 3.0)])])
-    vehicle = transforms.mounts_from_tf(node, NodeSettings(tf_static_wait=0.0))
+    vehicle, heard = transforms.mounts_from_tf(node, NodeSettings(tf_static_wait=0.0))
+    assert not heard
     assert vehicle.horizontal.T_base_laser[0, 3] == 0.0
 
 
@@ -103,7 +105,7 @@ def test_odom_to_base_is_published_on_tf(tf):
     node = FakeNode([])
     transform = conversions.transform_message(estimate(), 'odom', 'base_link')
     transforms.TransformOutput(node).publish(transform)
-    assert node.published == [TFMessage([transform])]
+    assert node.published == [('/tf', TFMessage([transform]))]
     assert (transform.header.frame_id, transform.child_frame_id) == ('odom', 'base_link')
 
 
@@ -115,4 +117,17 @@ def test_without_tf2_msgs_that_is_said_once_and_nothing_else_happens(monkeypatch
         output.publish(conversions.transform_message(estimate(), 'odom', 'base_link'))
     assert len(node.said) == 1
     assert node.published == []
-    assert transforms.mounts_from_tf(node, NodeSettings()).horizontal.name == 'horizontal'
+    vehicle, _ = transforms.mounts_from_tf(node, NodeSettings())
+    assert vehicle.horizontal.name == 'horizontal'
+
+
+def test_mounts_are_published_as_the_vehicle_file_has_them(tf):
+    node, vehicle = FakeNode([]), NodeSettings().vehicle()
+    transforms.TransformOutput(node).publish_static(
+        conversions.mount_messages(vehicle, 'base_link'))
+    (topic, message), = node.published
+    assert topic == '/tf_static'
+    assert [t.header.frame_id for t in message.transforms] == ['base_link'] * 4
+    for stamped, scanner in zip(message.transforms, vehicle.scanners):
+        assert stamped.child_frame_id == scanner.frame
+        np.testing.assert_allclose(transforms.matrix(stamped), scanner.T_base_laser, atol=1e-12)

@@ -22,9 +22,11 @@ import stri_mapping
 from stri_mapping import vehicle
 
 ROOT = Path(__file__).parent.parent
-SCRIPTS = {'stri-mapping', 'stri_estimator', 'facade_aligner', 'bag_player'}
+SCRIPTS = {'stri-mapping', 'sick_lms_driver', 'stri_estimator', 'facade_aligner', 'bag_recorder',
+           'bag_player', 'virtual_vehicle', 'viewer'}
 ROS_PACKAGES = ('rclpy', 'sensor_msgs', 'nav_msgs', 'geometry_msgs', 'std_msgs',
-                'diagnostic_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'rcl_interfaces')
+                'diagnostic_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'rcl_interfaces',
+                'std_srvs', 'lifecycle_msgs')
 
 
 def sources() -> list[Path]:

@@ -12,7 +12,8 @@ from stri_mapping.stri.proposal import cost_of, propose
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
-from stri_mapping.stri.sight import count_left, count_through, look as look_along, SIGHTS
+from stri_mapping.stri.sight import count_left, count_through, SIGHTS
+from stri_mapping.stri.sight import look as look_along
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust
 

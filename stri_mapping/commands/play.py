@@ -23,6 +23,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--rate', type=rate, default=1.0, metavar='R',
                         help='speed over that of recording; 0 for as fast as it is taken '
                         '(default: %(default)s)')
+    parser.add_argument('--start', type=float, default=0.0, metavar='S',
+                        help='seconds to leave out at the beginning (0)')
+    parser.add_argument('--duration', type=float, default=0.0, metavar='S',
+                        help='seconds to play (all)')
+    parser.add_argument('--loop', action='store_true',
+                        help='begin again at the end, until Ctrl-C')
     parser.set_defaults(run=run)
 
 
@@ -45,12 +51,15 @@ def require_ros() -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the bag; return the player's exit code."""
     from stri_mapping.bag_io import Bag
+    from stri_mapping.node_process import NodeSpec
     from stri_mapping.supervisor import Supervisor
 
     require_ros()
     with Bag(args.bag):
         pass                        # a bag that cannot be read is said before ROS is started
-    parameters = {'bag_player': {'bag': str(args.bag.resolve()), 'rate': args.rate}}
-    with tempfile.TemporaryDirectory() as folder, Supervisor(Path(folder), parameters) as graph:
+    player = NodeSpec('bag_player', {
+        'bag': str(args.bag.resolve()), 'rate': args.rate, 'start': args.start,
+        'duration': args.duration, 'loop': args.loop}, source=True, restarts=False)
+    with tempfile.TemporaryDirectory() as folder, Supervisor(Path(folder), [[player]]) as graph:
         code = graph.run()
     return EXIT_INTERRUPTED if graph.interrupted and code == 0 else code

@@ -6,9 +6,14 @@ from importlib.util import find_spec
 import os
 import sys
 
+from stri_mapping.vehicle import shared_file
+
 if find_spec('rclpy') is None:
     sys.exit('ROS 2 is not installed for this Python: source your ROS 2 Jazzy set-up, or run '
              '"pip install stri_mapping[ros]"')
 
 # An installation from pip wheels has no set-up file to source; its resource index is here.
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+# Nodes find one another within half a second, also one that was restarted.
+if not any(f'{name}_DEFAULT_PROFILES_FILE' in os.environ for name in ('FASTRTPS', 'FASTDDS')):
+    os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(shared_file('config/fastdds.xml'))

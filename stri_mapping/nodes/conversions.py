@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+import math
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -19,12 +20,14 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry, Path
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image, PointCloud2, PointField
+from sensor_msgs.msg import Image, LaserScan, PointCloud2, PointField
 
 from stri_mapping import geometry
-from stri_mapping.facade.push_broom import FacadePoints
+from stri_mapping.facade.points import FacadePoints
+from stri_mapping.lms.stamps import TimedScan
 from stri_mapping.scan import stamp_ns
 from stri_mapping.stri.estimate import Estimate
+from stri_mapping.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -38,13 +41,30 @@ POINT_FIELDS = [
     PointField(name=name, offset=4 * index, count=1,
                datatype=PointField.UINT16 if name == 'ring' else PointField.FLOAT32)
     for index, name in enumerate(NAMES)]
-# Larger messages get lost or stall the link; 480 kB.
-POINTS_PER_MESSAGE = 20_000
+# Metres: nothing nearer to a line scanner's window than this was measured.
+RANGE_MIN = 0.01
+# Larger messages get lost or stall the link, with other makes of DDS above all; 120 kB.
+POINTS_PER_MESSAGE = 5_000
 
 
 def time_message(stamp: int) -> Time:
     """Return integer nanoseconds as a message."""
     return Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+
+
+def scan_message(timed: TimedScan, frame: str, intensities: bool = True) -> LaserScan:
+    """Return a scan, with or without its intensities, if it has any."""
+    scan, step = timed.scan, math.radians(timed.scan.step)
+    first = math.radians(scan.first - 90.0)
+    message = LaserScan(
+        angle_min=first, angle_max=first + (len(scan.ranges) - 1) * step, angle_increment=step,
+        time_increment=timed.time_increment, scan_time=timed.scan_time,
+        range_min=RANGE_MIN, range_max=scan.range_max, ranges=_floats(scan.ranges))
+    if intensities and scan.intensities is not None:
+        message.intensities = _floats(scan.intensities)
+    message.header.frame_id = frame
+    message.header.stamp = time_message(timed.stamp_ns)
+    return message
 
 
 def covariance_6x6(planar: Array) -> Array:
@@ -63,6 +83,22 @@ def odometry_message(estimate: Estimate, odom_frame: str, base_frame: str) -> Od
     message.pose.covariance = covariance_6x6(estimate.pose_covariance)
     _set_twist(message.twist.twist, estimate.twist)
     message.twist.covariance = covariance_6x6(estimate.twist_covariance)
+    return message
+
+
+def truth_message(stamp: int, pose: Array, twist: Array, odom_frame: str = 'odom',
+                  base_frame: str = 'base_link') -> Odometry:
+    """Return a true pose (6,) as x, y, z, roll, pitch, yaw with its velocity (6,)."""
+    message = Odometry(child_frame_id=base_frame)
+    message.header.frame_id = odom_frame
+    message.header.stamp = time_message(stamp)
+    at, turned = message.pose.pose.position, message.pose.pose.orientation
+    at.x, at.y, at.z = (float(v) for v in pose[:3])
+    quat = geometry.quat_from_rotation(geometry.rotation_from_rpy(*pose[3:]))
+    turned.x, turned.y, turned.z, turned.w = (float(v) for v in quat)
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    linear.x, linear.y, linear.z = (float(v) for v in twist[:3])
+    angular.x, angular.y, angular.z = (float(v) for v in twist[3:])
     return message
 
 
@@ -86,6 +122,20 @@ def transform_message(estimate: Estimate, odom_frame: str, base_frame: str) -> T
     _, _, sin, cos = geometry.quat_from_yaw(yaw)
     message.transform.rotation.z, message.transform.rotation.w = float(sin), float(cos)
     return message
+
+
+def mount_messages(vehicle: Vehicle, base_frame: str) -> list[TransformStamped]:
+    """Return the transforms from the base frame to the scanners'; they hold at any time."""
+    found = []
+    for scanner in vehicle.scanners:
+        message = TransformStamped(child_frame_id=scanner.frame)
+        message.header.frame_id = base_frame
+        to, turn = message.transform.translation, message.transform.rotation
+        to.x, to.y, to.z = (float(v) for v in scanner.T_base_laser[:3, 3])
+        quat = geometry.quat_from_rotation(scanner.T_base_laser[:3, :3])
+        turn.x, turn.y, turn.z, turn.w = (float(v) for v in quat)
+        found.append(message)
+    return found
 
 
 def path_message(estimates: Sequence[Estimate], odom_frame: str) -> Path:
@@ -124,7 +174,7 @@ def poses_from_path(message: Path, yaw: float = 0.0) -> tuple[NDArray[np.int64],
 
 
 def cloud_messages(points: FacadePoints, odom_frame: str) -> Iterator[PointCloud2]:
-    """Return facade points as messages of under 500 kB; each stamp is its first point's time."""
+    """Return facade points as messages of 120 kB at most; each stamp is its first point's time."""
     for start in range(0, len(points.stamps_ns), POINTS_PER_MESSAGE):
         piece = slice(start, start + POINTS_PER_MESSAGE)
         stamps = points.stamps_ns[piece]
@@ -167,17 +217,25 @@ def image_message(picture: NDArray[np.uint8], stamp: int, frame: str) -> Image:
 
 
 def status_message(
-    name: str, level: bytes, text: str, values: Mapping[str, object],
+    name: str, level: bytes, text: str, values: Mapping[str, object], hardware: str = '',
 ) -> DiagnosticStatus:
     """Return one diagnostic status; values become strings."""
-    return DiagnosticStatus(name=name, level=level, message=text, values=[
-        KeyValue(key=key, value=str(value)) for key, value in values.items()])
+    return DiagnosticStatus(
+        name=name, level=level, message=text, hardware_id=hardware,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
 def _bytes(values: NDArray[np.generic]) -> array[int]:
     """Return the bytes as the one type that the message classes take without looping."""
     data = array('B')
     data.frombytes(np.ascontiguousarray(values).tobytes())
+    return data
+
+
+def _floats(values: Array) -> array[float]:
+    """Return the values as the one type that the message classes take without looping."""
+    data = array('f')
+    data.frombytes(values.astype(np.float32).tobytes())
     return data
 
 

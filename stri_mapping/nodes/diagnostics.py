@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from stri_mapping.nodes.conversions import status_message
 
-OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class Report(NamedTuple):
@@ -34,20 +34,24 @@ class Diagnostics:
         Owner of publisher and timer.
     parts
         By the part's name: what tells its state.
+    hardware
+        Identifies the device, where the node has one; may be set when it becomes known.
 
     """
 
-    def __init__(self, node: Node, parts: Mapping[str, Callable[[], Report]]) -> None:
+    def __init__(self, node: Node, parts: Mapping[str, Callable[[], Report]],
+                 hardware: str = '') -> None:
         """Start the timer."""
-        self._node, self._parts = node, parts
+        self._node, self._parts, self.hardware = node, parts, hardware
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         node.create_timer(1.0, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
+        name = self._node.get_fully_qualified_name().lstrip('/')
         for part, report in self._parts.items():
             level, text, values = report()
             message.status.append(
-                status_message(f'{self._node.get_name()}: {part}', level, text, values))
+                status_message(f'{name}: {part}', level, text, values, self.hardware))
         self._publisher.publish(message)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 import sys
 from typing import Any
 
@@ -14,16 +14,18 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.overview import Overview
-from stri_mapping.facade.push_broom import FacadeAligner, FacadePoints
+from stri_mapping.facade.points import FacadePoints
+from stri_mapping.facade.push_broom import FacadeAligner
+from stri_mapping.facade.writer import facade_facts, FacadeWriter
 from stri_mapping.nodes import conversions
 from stri_mapping.nodes.diagnostics import Diagnostics, OK, Report, WARN
 from stri_mapping.nodes.parameters import declare, NodeSettings
 from stri_mapping.nodes.process import run_node
-from stri_mapping.nodes.scan_input import ScanInput
+from stri_mapping.nodes.scan_input import JUMP_NS, ScanInput
 from stri_mapping.nodes.transforms import mounts_from_tf
 from stri_mapping.results import scanner_facts, write_summary
+from stri_mapping.scan import Scan
 
 # All poses there are, those from before this node connected included.
 TRAJECTORY_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL,
@@ -35,43 +37,86 @@ MAP_PERIOD = 2.0
 class FacadeAlignerNode:
     """Feeds the aligner with the vertical scanners' topics and the path; publishes its points."""
 
+    upstream = ('trajectory',)
+
     def __init__(self) -> None:
         """Declare, then connect."""
         self.node = Node('facade_aligner')
         self.settings = declare(self.node, NodeSettings)
         self._folder = self.settings.results_folder()
-        self._vehicle = mounts_from_tf(self.node, self.settings)
+        self._vehicle, _ = mounts_from_tf(self.node, self.settings)
         scanners = self._vehicle.verticals
-        self._aligner = FacadeAligner(scanners)
+        prepare()
+        self._aligner = self._new_aligner()
         self._overview = Overview()
-        self._writer = (CloudWriter(self._folder, [s.name for s in scanners])
-                        if self._folder else None)
+        self._writer = (FacadeWriter(self._folder, [s.name for s in scanners],
+                                     append=self.settings.resume) if self._folder else None)
         self._yaw = 0.0                          # of the newest pose
         self._newest = 0                         # its stamp, ns
         self._mapped = 0                         # points in the map as last published
+        # by scanner: scans of a time that was set back, which the path has yet to follow
+        self._ahead: dict[int, list[Scan]] = {}
         self._points = self.node.create_publisher(PointCloud2, 'facade/points', 100)
         self._map = self.node.create_publisher(PointCloud2, 'facade/map', LATCHED)
-        self.node.create_timer(MAP_PERIOD, self._publish_map,
+        self.node.create_timer(MAP_PERIOD, self._catch_up,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self.node, {'facades': self._report})
         self.node.create_subscription(Path, 'trajectory', self._take_path, TRAJECTORY_QOS)
-        self._inputs = [ScanInput(self.node, scanner, partial(self._aligner.add_scan, ring))
+        self._inputs = [ScanInput(self.node, scanner, partial(self._add_scan, ring),
+                                  partial(self._ahead.setdefault, ring, []))
                         for ring, scanner in enumerate(scanners)]
+
+    def _new_aligner(self) -> FacadeAligner:
+        return FacadeAligner(self._vehicle.verticals,
+                             self._vehicle.horizontal.T_base_laser[:3, 3])
+
+    def _add_scan(self, ring: int, scan: Scan) -> None:
+        """Take a scan; those of a time that the path has not come back to have to wait."""
+        if ring in self._ahead:
+            self._ahead[ring].append(scan)
+        else:
+            self._aligner.add_scan(ring, scan)
 
     def _take_path(self, message: Path) -> None:
         stamps, poses = conversions.poses_from_path(message, self._yaw)
         if not len(stamps):
             return
+        if stamps[0] < self._newest - JUMP_NS:
+            self._begin_anew()
         self._yaw, self._newest = float(poses[-1, 2]), int(stamps[-1])
         self._aligner.add_poses(stamps, poses)
-        self._publish(self._aligner.take_points())
+        self._publish(self._take())
+
+    def _begin_anew(self) -> None:
+        """Begin another drive: time was set back.  The results stay those of the first."""
+        self.node.get_logger().warning(
+            'time was set back by more than a second: the facades begin anew'
+            + ('; the results folder keeps those before' if self._writer else ''))
+        self._complete()
+        self._aligner, self._overview = self._new_aligner(), Overview()
+        self._yaw, self._mapped = 0.0, 0
+        for ring, each in enumerate(self._inputs):
+            if ring not in self._ahead:
+                each.forget()
+            for scan in self._ahead.pop(ring, []):
+                self._aligner.add_scan(ring, scan)
+
+    def _take(self) -> FacadePoints:
+        """Return what became final, and write it where results are wanted."""
+        if self._writer is not None:
+            return self._writer.take(self._aligner)
+        points, _ = self._aligner.take_points(), self._aligner.take_poses()
+        return points
 
     def _publish(self, points: FacadePoints) -> None:
         for message in conversions.cloud_messages(points, self.settings.odom_frame):
             self._points.publish(message)
         self._overview.add(points.xyz)
-        if self._writer is not None:
-            self._writer.write(points)
+
+    def _catch_up(self) -> None:
+        """Publish what scans that came after their path made final, and the map."""
+        self._publish(self._take())
+        self._publish_map()
 
     def _publish_map(self) -> None:
         if len(self._overview) == self._mapped:
@@ -84,6 +129,8 @@ class FacadeAlignerNode:
         counts = self._aligner.counts
         values = {'Scans': counts.scans, 'Points': counts.points,
                   'Rays without a pose': counts.outside,
+                  'Roll stabilised (%)': round(100.0 * counts.roll_told / max(counts.points, 1)),
+                  'Pitch stabilised (%)': round(100.0 * counts.pitch_told / max(counts.points, 1)),
                   'Malformed scans': sum(i.counts.malformed for i in self._inputs),
                   'Scans out of order': sum(i.counts.backwards for i in self._inputs)}
         if counts.scans == 0:
@@ -94,18 +141,27 @@ class FacadeAlignerNode:
 
     def finish(self) -> None:
         """Place what can be placed; publish and write it."""
+        self._complete()
+
+    def _complete(self) -> None:
         self._aligner.finish()
-        self._publish(self._aligner.take_points())
+        self._publish(self._take())
         self._publish_map()
         if self._writer is not None and self._folder is not None:
             self._writer.close()
             write_summary(self._folder, self._facts())
+        self._writer = None
 
     def _facts(self) -> dict[str, Any]:
-        rays = self._aligner.counts
-        return {'rays_without_return': rays.no_return, 'rays_without_pose': rays.outside,
+        return {**facade_facts(self._aligner),
                 'scanners': [scanner_facts(self._vehicle, scanner, each.stamps, each.counts)
                              for scanner, each in zip(self._vehicle.verticals, self._inputs)]}
+
+
+@cache
+def prepare() -> None:
+    """Load or compile what the aligner needs, so that a start is quick."""
+    FacadeAligner(NodeSettings().vehicle().verticals).warm_up()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -10,12 +10,13 @@ the end of terminal or supervisor, only asks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 import ctypes
 import logging
 import os
 import signal
 import sys
+import time
 from types import FrameType
 from typing import Protocol
 
@@ -26,13 +27,16 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, T
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from stri_mapping.errors import EXIT_DATA, EXIT_USAGE, StriMappingError, UsageError
-from stri_mapping.supervisor import SUPERVISOR_VARIABLE
+from stri_mapping.errors import EXIT_CRASH, EXIT_DATA, EXIT_USAGE, StriMappingError, UsageError
+from stri_mapping.node_process import SUPERVISOR_VARIABLE
 
 PR_SET_PDEATHSIG = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # Seconds a subscriber may take to acknowledge the last messages before it is given up.
-ACKNOWLEDGE = Duration(seconds=5)
+ACKNOWLEDGE = Duration(seconds=10)
+# Seconds a node that was stopped waits for the end of those that feed it: all may be stopped at
+# once, and the last poses come when the estimator has finished.
+PATIENCE = 3.0
 
 
 class ProcessingNode(Protocol):
@@ -41,6 +45,10 @@ class ProcessingNode(Protocol):
     @property
     def node(self) -> Node:
         """The ROS node."""
+
+    @property
+    def upstream(self) -> Collection[str]:
+        """Topics on which something may come until their publishers have ended as well."""
 
     def finish(self) -> None:
         """Finish the computation, publish and write the rest."""
@@ -101,6 +109,9 @@ def guarded(body: Callable[[StopRequest], None], args: list[str] | None = None) 
         return EXIT_USAGE if isinstance(error, UsageError) else EXIT_DATA
     except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
         return EXIT_DATA
+    except Exception:               # a fault of ours: told whole, and the node started again
+        logging.exception('this is a fault of the program')
+        return EXIT_CRASH
     finally:
         rclpy.try_shutdown()
     return 0
@@ -115,6 +126,10 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
         while not stop.requested:
             executor.spin_once(timeout_sec=0.1)
         drain(executor)
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and any(
+                processing.node.count_publishers(topic) for topic in processing.upstream):
+            drain(executor)
         processing.finish()
         for publisher in processing.node.publishers:
             publisher.wait_for_all_acked(ACKNOWLEDGE)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 import struct
 import time
@@ -74,7 +74,8 @@ class RawOutput:
         """Topics that have a publisher."""
         return list(self._publishers)
 
-    def await_subscribers(self, wanted: Mapping[str, int], patience: float) -> None:
+    def await_subscribers(self, wanted: Mapping[str, int], patience: float,
+                          meanwhile: Callable[[], None]) -> None:
         """Wait until each topic has so many matched subscribers, or raise StriMappingError."""
         for topic in wanted:
             if topic not in self._publishers:
@@ -87,6 +88,7 @@ class RawOutput:
                 return
             if time.monotonic() > end:
                 raise StriMappingError(f'{missing[0]}: nobody subscribed within {patience:.0f} s')
+            meanwhile()
             time.sleep(0.02)
 
     def tick(self, stamp: int) -> None:

@@ -4,12 +4,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass, field
+from functools import cache
 import sys
 from time import perf_counter
 from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -22,6 +27,7 @@ from stri_mapping.nodes.process import run_node
 from stri_mapping.nodes.scan_input import ScanInput
 from stri_mapping.nodes.transforms import mounts_from_tf, TransformOutput
 from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts, write_summary
+from stri_mapping.resume import interruption, placed
 from stri_mapping.scan import Scan
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
@@ -31,36 +37,73 @@ TRAJECTORY_QOS = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LO
 # Seconds of final poses gathered into one message: ten messages a second, not 75.
 PATH_SPAN_NS = 100_000_000
 PICTURE_PERIOD = 0.5
+# Scans over which the latency is told, and milliseconds beyond which it is none.
+LATENCIES, REAL_TIME = 375, 10_000.0
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(NodeSettings):
+    """
+    What the estimator's node can be told beside what every processing node can.
+
+    Attributes
+    ----------
+    publish_tf
+        Whether to publish the transform from odom to base_link; false where another node does.
+    publish_static_tf
+        Whether to publish those mounts of the vehicle file that nobody else has on /tf_static.
+    estimator
+        Settings of the estimator.
+
+    """
+
+    publish_tf: bool = True
+    publish_static_tf: bool = True
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
 
 class StriEstimatorNode:
     """Feeds the estimator with the horizontal scanner's topic and publishes what it says."""
 
+    upstream = ()
+
     def __init__(self) -> None:
         """Declare, warm up, then connect: a matched subscription means readiness."""
         self.node = Node('stri_estimator')
-        self.settings = declare(self.node, NodeSettings)
-        self._publish_tf = bool(self.node.declare_parameter('publish_tf', True).value)
-        config = declare(self.node, EstimatorConfig)
+        self.settings = declare(self.node, EstimatorSettings)
         self._folder = self.settings.results_folder()
-        self._vehicle = mounts_from_tf(self.node, self.settings)
-        scanner = self._vehicle.horizontal
-        self._estimator = StriEstimator(scanner.T_base_laser, config)
+        self._tf = TransformOutput(self.node)
+        self._vehicle, heard = mounts_from_tf(self.node, self.settings)
+        if self.settings.publish_static_tf:
+            self._tf.publish_static([
+                mount for mount in conversions.mount_messages(
+                    self._vehicle, self.settings.base_frame) if mount.child_frame_id not in heard])
         self.node.get_logger().info('preparing; the first time, this compiles for a while')
-        self._estimator.warm_up()
-        self._writer = MotionWriter(self._folder) if self._folder else None
+        prepare()
+        self._estimator = self._new_estimator()
+        self._before = (interruption(self._folder)
+                        if self._folder and self.settings.resume else None)
+        self._writer = (MotionWriter(self._folder, append=self._before is not None)
+                        if self._folder else None)
+        self._T_odom_start: Array | None = None  # where a path that was interrupted goes on
         self._final: list[Estimate] = []         # final, not yet published
         self._newest: Estimate | None = None
-        self._seconds_busy = 0.0
+        self._distance, self._seconds_busy = 0.0, 0.0
+        self._latencies: deque[float] = deque(maxlen=LATENCIES)
         self._advertise()
-        self._input = ScanInput(self.node, scanner, self._take)
+        self._input = ScanInput(self.node, self._vehicle.horizontal, self._take, self._begin_anew)
+        if self._before is not None:
+            self._input.stamps.extend(self._before.stamps_ns.tolist())
+
+    def _new_estimator(self) -> StriEstimator:
+        return StriEstimator(self._vehicle.horizontal.T_base_laser, self.settings.estimator)
 
     def _advertise(self) -> None:
         create = self.node.create_publisher
         self._odometry = create(Odometry, 'odom', 100)
         self._velocity = create(TwistWithCovarianceStamped, 'velocity', 100)
         self._path = create(Path, 'trajectory', TRAJECTORY_QOS)
-        self._tf = TransformOutput(self.node) if self._publish_tf else None
         self._image = create(Image, 'stri/image', 2)
         self._segments = create(Image, 'stri/segments', 2)
         self.node.create_timer(PICTURE_PERIOD, self._publish_pictures,
@@ -72,17 +115,33 @@ class StriEstimatorNode:
         estimate = self._estimator.add(scan)
         self._seconds_busy += perf_counter() - start
         if estimate is not None:
-            self._publish(estimate)
-        self._final += self._estimator.take_refined()
+            self._publish(self._placed(estimate))
+            self._note_latency(scan)
+        self._final += map(self._placed, self._estimator.take_refined())
         if self._final and self._final[-1].stamp_ns - self._final[0].stamp_ns >= PATH_SPAN_NS:
             self._publish_final()
 
+    def _placed(self, estimate: Estimate) -> Estimate:
+        """Return an estimate in odom, also where its path is the second part of a drive."""
+        if self._before is None:
+            return estimate
+        if self._T_odom_start is None:
+            self._T_odom_start = self._before.pose_at(self._input.stamps[len(
+                self._before.stamps_ns)])
+        return placed(estimate, self._T_odom_start)
+
+    def _note_latency(self, scan: Scan) -> None:
+        last_ray_ns = scan.stamp_ns + 1e9 * float(scan.times.max(initial=0.0))
+        self._latencies.append(1e-6 * (self.node.get_clock().now().nanoseconds - last_ray_ns))
+
     def _publish(self, estimate: Estimate) -> None:
         odom, base = self.settings.odom_frame, self.settings.base_frame
+        if self._newest is not None:
+            self._distance += float(np.hypot(*(estimate.pose - self._newest.pose)[:2]))
         self._newest = estimate
         self._odometry.publish(conversions.odometry_message(estimate, odom, base))
         self._velocity.publish(conversions.velocity_message(estimate, base))
-        if self._tf is not None:
+        if self.settings.publish_tf:
             self._tf.publish(conversions.transform_message(estimate, odom, base))
 
     def _publish_final(self) -> None:
@@ -92,6 +151,17 @@ class StriEstimatorNode:
         self._path.publish(conversions.path_message(final, self.settings.odom_frame))
         if self._writer is not None:
             self._writer.write(final)
+
+    def _begin_anew(self) -> None:
+        """Begin another drive: time was set back.  The results stay those of the first."""
+        self.node.get_logger().warning(
+            'time was set back by more than a second: a new path begins'
+            + ('; the results folder keeps the one before' if self._writer else ''))
+        self._complete()
+        self._estimator = self._new_estimator()
+        self._before = self._newest = self._T_odom_start = None
+        self._distance = 0.0
+        self._latencies.clear()
 
     def _publish_pictures(self) -> None:
         image = self._estimator.range_image
@@ -112,21 +182,28 @@ class StriEstimatorNode:
             return Report(WARN, 'no scans yet', values)
         if newest is None:
             return Report(OK, 'starting up', values)
-        values['Speed'] = f'{newest.twist[0]:.2f} m/s'
-        values['Quality'] = f'{newest.quality:.2f}'
+        values |= {'Speed': f'{newest.twist[0]:.2f} m/s', 'Quality': f'{newest.quality:.2f}',
+                   'Distance': f'{self._distance:.1f} m'}
+        latency = float(np.percentile(self._latencies, 95)) if self._latencies else np.inf
+        if abs(latency) < REAL_TIME:        # else the scans are not of now
+            values['Latency'] = f'{latency:.1f} ms'
         if newest.degenerate:
             return Report(WARN, 'too little structure to see the motion: coasting', values)
         return Report(OK, 'tracking', values)
 
     def finish(self) -> None:
         """Make the last poses final; publish and write them."""
+        self._complete()
+
+    def _complete(self) -> None:
         self._estimator.finish()
-        self._final += self._estimator.take_refined()
+        self._final += map(self._placed, self._estimator.take_refined())
         self._publish_final()
         if self._writer is not None and self._folder is not None:
             self._writer.close()
             self._estimator.range_image_log.save(self._folder / RANGE_IMAGE_NAME)
             write_summary(self._folder, self._facts(self._writer))
+        self._writer = None
 
     def _facts(self, writer: MotionWriter) -> dict[str, Any]:
         scans = self._input.stamps
@@ -134,6 +211,12 @@ class StriEstimatorNode:
                 'ms_per_scan': round(1e3 * self._seconds_busy / max(len(scans), 1), 3),
                 'scanners': [scanner_facts(self._vehicle, self._vehicle.horizontal, scans,
                                            self._input.counts)]}
+
+
+@cache
+def prepare() -> None:
+    """Load or compile what the estimator needs, so that a start is quick."""
+    StriEstimator(np.eye(4)).warm_up()
 
 
 def main(args: list[str] | None = None) -> int:

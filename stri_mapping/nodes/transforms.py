@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 import time
 from typing import Any
@@ -26,33 +27,42 @@ STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class TransformOutput:
-    """Publishes transforms on /tf; does nothing but say so once where tf2_msgs is missing."""
+    """Publishes transforms; does nothing but say so once where tf2_msgs is missing."""
 
     def __init__(self, node: Node) -> None:
-        """Create the publisher."""
-        self._publisher: Any = None
+        """Get ready; a publisher is made with the first transform."""
+        self._node = node
+        self._publishers: dict[str, Any] = {}
         if not HAS_TF:
             node.get_logger().info('tf2_msgs is not installed: /tf is not published')
-            return
-        from tf2_msgs.msg import TFMessage
-        self._message = TFMessage
-        self._publisher = node.create_publisher(TFMessage, '/tf', 100)
 
     def publish(self, transform: TransformStamped) -> None:
-        """Publish one transform."""
-        if self._publisher is not None:
-            self._publisher.publish(self._message(transforms=[transform]))
+        """Publish one transform on /tf."""
+        self._publish('/tf', 100, [transform])
+
+    def publish_static(self, transforms: Sequence[TransformStamped]) -> None:
+        """Publish transforms that stay as they are on /tf_static."""
+        self._publish('/tf_static', STATIC, transforms)
+
+    def _publish(self, topic: str, qos: QoSProfile | int,
+                 transforms: Sequence[TransformStamped]) -> None:
+        if not HAS_TF or not transforms:
+            return
+        from tf2_msgs.msg import TFMessage
+        if topic not in self._publishers:
+            self._publishers[topic] = self._node.create_publisher(TFMessage, topic, qos)
+        self._publishers[topic].publish(TFMessage(transforms=list(transforms)))
 
 
-def mounts_from_tf(node: Node, settings: NodeSettings) -> Vehicle:
+def mounts_from_tf(node: Node, settings: NodeSettings) -> tuple[Vehicle, set[str]]:
     """
-    Return the vehicle of the settings, with those mounts that /tf_static has.
+    Return the vehicle of the settings, with those mounts that /tf_static has, and their frames.
 
     The node is spun while waiting for them, so nothing else may be subscribed yet.
     """
     vehicle, patience = settings.vehicle(), settings.tf_static_wait
     if not HAS_TF or patience <= 0.0:
-        return vehicle
+        return vehicle, set()
     from tf2_msgs.msg import TFMessage
     heard: dict[str, NDArray[np.float64]] = {}
 
@@ -67,7 +77,7 @@ def mounts_from_tf(node: Node, settings: NodeSettings) -> Vehicle:
         rclpy.spin_once(node, timeout_sec=0.1)
     node.destroy_subscription(subscription)
     return Vehicle(tuple(remounted(s, s.frame, heard[s.frame]) if s.frame in heard else s
-                         for s in vehicle.scanners))
+                         for s in vehicle.scanners)), set(heard)
 
 
 def matrix(stamped: TransformStamped) -> NDArray[np.float64]:

@@ -1,0 +1,228 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""One node of the live graph as a process: started, started again, ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+# Tells a node the process id of its supervisor, which it does not outlive.
+SUPERVISOR_VARIABLE = 'STRI_MAPPING_SUPERVISOR'
+# Seconds a node may take for its end: it takes in its backlog and writes its results.
+PATIENCE = 120.0
+# Seconds before a node that died is started again: by how often in a row it has.
+BACK_OFF = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+# Seconds after its start at which a node gets a spare, if it is to have one.
+SPARE_AFTER = 5.0
+# Of a spare that gets ready: it is not to slow down those that work.
+SPARE_NICE = 10
+# A node that ran for so many seconds is started again as if for the first time.
+SOUND = 30.0
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """
+    One node of the graph.
+
+    Attributes
+    ----------
+    module
+        In `stri_mapping.nodes`; also the node's name.
+    parameters
+        Of the node.
+    namespace
+        Without slashes; empty for none.
+    remappings
+        New topic names by the node's own.
+    source
+        Whether the run is over when this node ends.
+    vital
+        Whether the run is over when this node fails for good.
+    restarts
+        Whether the node is started again when it dies.
+    resumes
+        Whether it then has something to go on with; its parameter `resume` is set.
+    waits
+        Whether the node is started only when those that do not wait are ready.
+    spare
+        Whether a process that is ready to take its place is kept, because its start is slow.
+    nice
+        Above 0 others go before it, below 0 it goes before others where that is allowed.
+
+    """
+
+    module: str
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    namespace: str = ''
+    remappings: Mapping[str, str] = field(default_factory=dict)
+    source: bool = False
+    vital: bool = True
+    restarts: bool = True
+    resumes: bool = True
+    waits: bool = False
+    spare: bool = False
+    nice: int = 0
+
+    @property
+    def name(self) -> str:
+        """The node's full name without its first slash."""
+        return f'{self.namespace}/{self.module}' if self.namespace else self.module
+
+    @property
+    def arguments(self) -> list[str]:
+        """Return what the node is told on its command line beside the file of parameters."""
+        rules = dict(self.remappings)
+        if self.namespace:
+            rules['__ns'] = f'/{self.namespace}'
+        return [part for old, new in rules.items() for part in ('-r', f'{old}:={new}')]
+
+
+class Child:
+    """
+    A node as a process of its own group; its output is passed on with its name before it.
+
+    Parameters
+    ----------
+    spec
+        The node.
+    file
+        YAML file with the parameters of all nodes.
+    prefix
+        Put before each line of its output.
+
+    """
+
+    def __init__(self, spec: NodeSpec, file: Path, prefix: str) -> None:
+        """Remember the node; nothing is started before `start`."""
+        self.spec = spec
+        self.restarts: list[str] = []            # why, each time
+        self.failure: str | None = None          # how it ended for good
+        self.died_at = 0.0
+        self._file, self._prefix = file, prefix
+        self._in_a_row = 0
+        self._spare: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start the process, or let its spare run."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare.poll() is None:
+            assert spare.stdin is not None
+            print('run', file=spare.stdin, flush=True)
+            self.process = spare
+        else:
+            self.process = self._spawn(self.spec.module, [], bool(self.restarts))
+        set_niceness(self.process.pid, self.spec.nice)
+        self.started_at, self.died_at, self._asked = time.monotonic(), 0.0, False
+        self._pump = threading.Thread(target=self._pass_on, daemon=True)
+        self._pump.start()
+
+    def _spawn(self, module: str, arguments: list[str], resume: bool) -> subprocess.Popen[str]:
+        environment = {
+            **os.environ, SUPERVISOR_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+            'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{severity}: {message}'}
+        return subprocess.Popen(
+            [sys.executable, '-m', f'stri_mapping.nodes.{module}', *arguments, '--ros-args',
+             '--params-file', str(self._file), *self.spec.arguments,
+             *(['-p', 'resume:=true'] if resume and self.spec.resumes else [])],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors='replace', env=environment, start_new_session=True)
+
+    def keep_spare(self) -> None:
+        """Have a process ready for the next start, once the node has run for a while."""
+        if (self.spec.spare and self._spare is None and not self.died_at
+                and time.monotonic() - self.started_at > SPARE_AFTER):
+            self._spare = self._spawn('spare', [self.spec.module], True)
+            set_niceness(self._spare.pid, SPARE_NICE)
+
+    def drop_spare(self) -> None:
+        """End the spare: no start will follow."""
+        if self._spare is not None:
+            self._spare.kill()
+            self._spare.wait()
+            self._spare = None
+
+    @property
+    def started(self) -> bool:
+        """Whether the process has been started at all."""
+        return hasattr(self, 'process')
+
+    def _pass_on(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.say(line.rstrip())
+
+    def say(self, text: str) -> None:
+        """Print a line with the node's name."""
+        try:
+            print(f'{self._prefix}{text}', flush=True)
+        except OSError:             # nobody reads on; the node must not block for it
+            pass
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal to the process and what it may have started."""
+        try:
+            os.killpg(self.process.pid, number)
+        except ProcessLookupError:
+            pass
+
+    def revive(self, code: int) -> None:
+        """Start the process again some time after it died; called until it runs."""
+        now = time.monotonic()
+        if not self.died_at:
+            self.died_at = now
+            self.signal(signal.SIGKILL)          # what it may have left behind
+            self._in_a_row = 0 if now - self.started_at > SOUND else self._in_a_row
+            self.say(f'{describe(code)}; it is started again')
+        if now - self.died_at >= BACK_OFF[min(self._in_a_row, len(BACK_OFF) - 1)]:
+            self._in_a_row += 1
+            self.restarts.append(describe(code))
+            self.start()
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it has died so often in a row that another start is no use."""
+        return (self._in_a_row >= len(BACK_OFF) and not self.died_at
+                and time.monotonic() - self.started_at < SOUND)
+
+    def ask_to_end(self) -> None:
+        """Stop the process as by Ctrl-C, once: a second time would kill it."""
+        if self.process.poll() is None and not self._asked:
+            self.signal(signal.SIGINT)
+        self._asked = True
+
+    def end(self, patience: float = PATIENCE) -> int:
+        """Wait for the process asked to end, kill it when it does not; return its exit code."""
+        self.ask_to_end()
+        try:
+            self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.say(f'did not end within {patience:.0f} s: killed')
+            self.signal(signal.SIGKILL)
+        code = self.process.wait()
+        self._pump.join(1.0)
+        return code
+
+
+def set_niceness(pid: int, nice: int) -> None:
+    """Give a process, and its session where those are what shares, a niceness if allowed."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, pid, nice)
+        Path(f'/proc/{pid}/autogroup').write_text(str(nice), encoding='ascii')
+    except OSError:                 # not ours to say, or a system without such groups
+        pass
+
+
+def describe(code: int) -> str:
+    """Return in words how a process ended."""
+    if code < 0:
+        return f'was killed by {signal.Signals(-code).name}'
+    return f'failed with exit code {code}' if code else 'ended before its source'
