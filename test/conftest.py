@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests have in common: no deadlines that a busy machine could miss."""
 
+import signal
+
 from hypothesis import settings
 import pytest
 
@@ -12,6 +14,9 @@ REAL_TIME = ('test_node_', 'test_graph_', 'test_recording', 'test_live_', 'test_
 
 settings.register_profile('suite', deadline=None)
 settings.load_profile('suite')
+# A script that runs the suite in the background has it ignore SIGINT, and so would every process
+# that a test starts and then stops by it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items):
