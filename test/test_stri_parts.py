@@ -12,8 +12,7 @@ from stri_mapping.stri.proposal import cost_of, propose
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
-from stri_mapping.stri.sight import count_left, count_through, SIGHTS
-from stri_mapping.stri.sight import look as look_along
+from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust
 
@@ -62,7 +61,7 @@ def surfels_of(pose, walls, rng):
     surfels = np.empty((2048, keyframe.SURFEL))
     bins = np.empty(keyframe.BINS + 1, np.int32)
     count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins,
-                           np.empty(SIGHTS))
+                           np.empty(keyframe.SIGHTS))
     return surfels, count, bins
 
 
@@ -187,7 +186,8 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
                                   np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
         surfels = np.empty((2048, keyframe.SURFEL))
         count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
-                               surfels, np.empty(keyframe.BINS + 1, np.int32), np.empty(SIGHTS))
+                               surfels, np.empty(keyframe.BINS + 1, np.int32),
+                               np.empty(keyframe.SIGHTS))
         error.learn(surfels[:count], 0.5 * k)
     # the prior holds it back where walls tell little; here they tell much
     assert error.value == pytest.approx(pull, rel=0.25)
@@ -234,8 +234,8 @@ def test_known_surfaces_that_fall_silent_raise_doubt():
 
 def test_what_came_to_a_place_seen_through_counts_and_what_hides_does_not():
     wall = np.column_stack([np.linspace(-10.0, 10.0, 400), np.full(400, 8.0)])
-    sight, votes = np.empty(SIGHTS), np.zeros(4)
-    look_along(wall, sight)
+    sight, votes = np.empty(keyframe.SIGHTS), np.zeros(4)
+    keyframe.look(wall, sight)
     knots, home = np.zeros((8, 3)), np.zeros(3)
     # nearer than the wall seen before; on it; hidden behind it; where nothing was seen at all
     for label, (r, bearing) in enumerate([(4.0, 90.0), (8.0, 90.0), (12.0, 90.0), (4.0, -90.0)]):

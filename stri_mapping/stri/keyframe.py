@@ -18,7 +18,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.sight import look
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
@@ -41,6 +40,7 @@ MIN_VARIANCE = 0.03 ** 2
 HEAD_ON = 0.9
 SIGHT_ONLY = 2.0
 BINS = 720
+SIGHTS = 240              # lines of sight over the full circle
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -130,7 +130,7 @@ def build(
     bins
         (BINS + 1,) written: first surfel of each bearing bin, bins over the full circle.
     sight
-        (SIGHTS,) written, see `sight.look`.
+        (SIGHTS,) written, see `look`.
 
     Returns
     -------
@@ -290,3 +290,19 @@ def _fill_bins(surfels: Array, count: int, bins: NDArray[np.int32]) -> None:
 def bearing_bin(bearing: float) -> int:
     """Return the bin of a bearing in [-pi, pi]."""
     return min(int((bearing + math.pi) * (BINS / (2.0 * math.pi))), BINS - 1)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def look(points: Array, sight: Array) -> None:
+    """Write metres to the nearest of points (n, 2) at each of (SIGHTS,) bearings, 0 for none."""
+    sight[:] = 0.0
+    for i in range(len(points)):
+        q, r = sector(points[i, 0], points[i, 1]), math.hypot(points[i, 0], points[i, 1])
+        if sight[q] == 0.0 or r < sight[q]:
+            sight[q] = r
+
+
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def sector(x: float, y: float) -> int:
+    """Return the line of sight that a point in the keyframe's frame lies on."""
+    return min(int((math.atan2(y, x) + math.pi) * (SIGHTS / (2.0 * math.pi))), SIGHTS - 1)

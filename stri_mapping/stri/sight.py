@@ -15,27 +15,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.stri.keyframe import BEARING, LABEL, RANGE, S_LABEL, sector, TIME, X, Y
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
 
-SIGHTS = 240              # bearings over the full circle
 # metres by which rays must have gone on beyond a place, with its distance, to have seen through
 CLEAR, CLEAR_PER_RANGE = 0.3, 0.05
 NEAR = 30.0               # metres; beyond, rays are too far from one another
-# columns of a prepared ray and of a surfel, see `keyframe`
-RANGE, BEARING, TIME, LABEL = 0, 1, 2, 4
-X, Y, S_LABEL = 0, 1, 6
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def look(points: Array, sight: Array) -> None:
-    """Write metres to the nearest of points (n, 2) at each of (SIGHTS,) bearings, 0 for none."""
-    sight[:] = 0.0
-    for i in range(len(points)):
-        q, r = _sector(points[i, 0], points[i, 1]), math.hypot(points[i, 0], points[i, 1])
-        if sight[q] == 0.0 or r < sight[q]:
-            sight[q] = r
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -99,12 +86,7 @@ def count_left(
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
 def _seen_through(x: float, y: float, sight: Array) -> bool:
-    d, q = math.hypot(x, y), _sector(x, y)
+    d, q = math.hypot(x, y), sector(x, y)
     beyond = d + CLEAR + CLEAR_PER_RANGE * d
     return bool(sight[q - 1] > beyond and sight[q] > beyond
                 and sight[(q + 1) % len(sight)] > beyond)
-
-
-@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _sector(x: float, y: float) -> int:
-    return min(int((math.atan2(y, x) + math.pi) * (SIGHTS / (2.0 * math.pi))), SIGHTS - 1)

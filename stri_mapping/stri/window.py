@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.pairs import relative
-from stri_mapping.stri.sight import count_left, count_through, SIGHTS
+from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Keyframes:
     counts: Index = field(default_factory=lambda: np.zeros(SLOTS, np.int64))
     bins: NDArray[np.int32] = field(
         default_factory=lambda: np.zeros((SLOTS, keyframe.BINS + 1), np.int32))
-    sight: Array = field(default_factory=lambda: np.zeros((SLOTS, SIGHTS)))
+    sight: Array = field(default_factory=lambda: np.zeros((SLOTS, keyframe.SIGHTS)))
     time: Array = field(default_factory=lambda: np.zeros(SLOTS))
     pose: Array = field(default_factory=lambda: np.zeros((SLOTS, 3)))
 
