@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from stri_mapping import geometry
 from stri_mapping.facade.placing import place
-from stri_mapping.facade.points import FACADE, FacadePoints
+from stri_mapping.facade.points import FACADE, FacadePoints, NOISE
 from stri_mapping.facade.push_broom import FacadeAligner
 from stri_mapping.facade.quality import measure
 from stri_mapping.simulation.drive import Drive, make_drive, START_NS
@@ -203,20 +203,19 @@ def report(name: str, options: Options) -> None:
         figures = []
         for xyz, along in ((done.points.xyz, path), (best, drive.truth()),
                            (flat.points.xyz, path)):
-            figures.append((judge.distance_mm(xyz, done.points.stamps_ns, along,
-                                              np.ones(len(xyz), bool)),
-                            judge.distance_mm(xyz, done.points.stamps_ns, along, walls),
+            figures.append((*(judge.distance_mm(xyz, done.points.stamps_ns, along, chosen)
+                              for chosen in (walls | True, done.points.label != NOISE, walls)),
                             measure(xyz[walls], done.points.ring[walls])))
         a, b, c = figures
         roll, pitch = judge.attitude_deg(done)
         print(f'  {what}: roll {roll:.3f} pitch {pitch:.3f} deg')
-        for n, text in ((0, 'all points'), (1, 'facade class')):
+        for n, text in enumerate(('all points', 'all but noise', 'facade class')):
             print(f'    {text}: {a[n][0]:.1f} mm (perfect {b[n][0]:.1f}, planar {c[n][0]:.1f}), '
                   f'worst piece {a[n][1]:.1f}, left out {100 * a[n][2]:.1f} %')
-        print(f'    scanners agree within {a[2].agreement_mm:.1f} mm (perfect '
-              f'{b[2].agreement_mm:.1f}, planar {c[2].agreement_mm:.1f}), planes '
-              f'{a[2].thickness_mm:.1f} mm thick, lean {a[2].lean_deg:.2f} deg, doubled '
-              f'{100 * a[2].doubled:.1f} %', flush=True)
+        print(f'    scanners agree within {a[3].agreement_mm:.1f} mm (perfect '
+              f'{b[3].agreement_mm:.1f}, planar {c[3].agreement_mm:.1f}), planes '
+              f'{a[3].thickness_mm:.1f} mm thick, lean {a[3].lean_deg:.2f} deg, doubled '
+              f'{100 * a[3].doubled:.1f} %', flush=True)
         if name == 'campus':
             print('    ' + columns(drive, done.points))
 

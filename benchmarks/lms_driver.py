@@ -113,6 +113,8 @@ def nodes() -> None:
     """Four driver processes on four emulated scanners: load, and take-over after kill -9."""
     from sensor_msgs.msg import LaserScan
 
+    import stri_mapping.nodes  # noqa: F401  with it the listener is found as soon as a node is
+
     with tempfile.TemporaryDirectory() as folder, live.listener() as (node, executor, env):
         paths = [Path(folder) / f'lms{k}' for k in range(4)]
         got: list[float] = []

@@ -3,7 +3,7 @@
 """
 Memory, open files and threads of every node over a long run.
 
-    python benchmarks/soak.py BAG [--minutes 60] [--rate 10]
+    python benchmarks/soak.py BAG [--minutes 6] [--rate 10]
 
 It plays the bag again and again through recorder, estimator and aligner, samples the processes
 every ten seconds, and prints for each the slope of its resident memory over the second half, with
@@ -54,7 +54,7 @@ def main() -> int:
     """Run, sample, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('bag', type=Path)
-    parser.add_argument('--minutes', type=float, default=60.0)
+    parser.add_argument('--minutes', type=float, default=6.0)
     parser.add_argument('--rate', type=float, default=10.0)
     args = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')

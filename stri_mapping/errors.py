@@ -26,6 +26,10 @@ class TrajectoryError(StriMappingError):
     """A trajectory file or operation that cannot be honoured."""
 
 
+class ResultsError(StriMappingError):
+    """Results cannot be written, as on a full disk; those written before are whole."""
+
+
 class LmsError(StriMappingError):
     """A scanner, its port or its bytes are not what they should be."""
 

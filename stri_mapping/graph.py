@@ -15,6 +15,8 @@ from stri_mapping.vehicle import Scanner, Vehicle
 Stages = list[list[NodeSpec]]
 # What a recording need not hold: it can be made again from the scans.
 DERIVED = ('facade/', 'stri/')
+# Seconds after which a recording begins a new file: what must be remembered of one is bounded.
+SPLIT = 600.0
 # Seconds the virtual vehicle waits for its drivers, which wait for nodes that may compile.
 PATIENCE = 600.0
 
@@ -91,12 +93,13 @@ def _processing(vehicle: Vehicle, products: Products, tf_static_wait: float) -> 
     # no use_sim_time: the nodes take all times from the scans, and hundreds of messages a second
     # on /clock would cost each of them a fifth of a core
     # what steers by the odometry cannot wait; facades can, and bags gather in their readers
-    stages = [[NodeSpec('stri_estimator', common, spare=True, nice=-10)]]
+    stages = [[NodeSpec('stri_estimator', common, nice=-10)]]
     if vehicle.verticals:
-        stages.append([NodeSpec('facade_aligner', common, spare=True, nice=5)])
+        stages.append([NodeSpec('facade_aligner', common, nice=5)])
     if products.recording is not None:
         stages.append([NodeSpec('bag_recorder', {
-            'path': str(products.recording.resolve()), 'exclude': ' '.join(DERIVED)},
+            'path': str(products.recording.resolve()), 'exclude': ' '.join(DERIVED),
+            'split_duration': SPLIT},
             vital=False, nice=5)])
     if products.view:
         stages.append([NodeSpec('viewer', vital=False, resumes=False, nice=5)])

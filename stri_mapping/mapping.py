@@ -14,9 +14,11 @@ import numpy as np
 
 from stri_mapping.facade.push_broom import FacadeAligner
 from stri_mapping.facade.writer import facade_facts, FacadeWriter
-from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts
+from stri_mapping.motion_file import MotionWriter
+from stri_mapping.results import RANGE_IMAGE_NAME
 from stri_mapping.scan import Scan, ScanCounts
 from stri_mapping.stri.estimator import StriEstimator
+from stri_mapping.summary import scanner_facts
 from stri_mapping.vehicle import Scanner, Vehicle
 
 # Refined poses gathered before the facades are asked for: a second or so of driving, so that

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import os
 from pathlib import Path
@@ -14,16 +14,16 @@ import sys
 import threading
 import time
 
+from stri_mapping.spares import Spares
+
 # Tells a node the process id of its supervisor, which it does not outlive.
 SUPERVISOR_VARIABLE = 'STRI_MAPPING_SUPERVISOR'
 # Seconds a node may take for its end: it takes in its backlog and writes its results.
 PATIENCE = 120.0
 # Seconds before a node that died is started again: by how often in a row it has.
 BACK_OFF = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-# Seconds after its start at which a node gets a spare, if it is to have one.
+# Seconds after its start from which a node has a spare, if it is one that is started again.
 SPARE_AFTER = 5.0
-# Of a spare that gets ready: it is not to slow down those that work.
-SPARE_NICE = 10
 # A node that ran for so many seconds is started again as if for the first time.
 SOUND = 30.0
 
@@ -53,8 +53,6 @@ class NodeSpec:
         Whether it then has something to go on with; its parameter `resume` is set.
     waits
         Whether the node is started only when those that do not wait are ready.
-    spare
-        Whether a process that is ready to take its place is kept, because its start is slow.
     nice
         Above 0 others go before it, below 0 it goes before others where that is allowed.
 
@@ -69,7 +67,6 @@ class NodeSpec:
     restarts: bool = True
     resumes: bool = True
     waits: bool = False
-    spare: bool = False
     nice: int = 0
 
     @property
@@ -77,13 +74,14 @@ class NodeSpec:
         """The node's full name without its first slash."""
         return f'{self.namespace}/{self.module}' if self.namespace else self.module
 
-    @property
-    def arguments(self) -> list[str]:
-        """Return what the node is told on its command line beside the file of parameters."""
+    def arguments(self, file: Path, resume: bool) -> list[str]:
+        """Return its command line, given the file of all nodes' parameters."""
         rules = dict(self.remappings)
         if self.namespace:
             rules['__ns'] = f'/{self.namespace}'
-        return [part for old, new in rules.items() for part in ('-r', f'{old}:={new}')]
+        return ['--ros-args', '--params-file', str(file),
+                *(part for old, new in rules.items() for part in ('-r', f'{old}:={new}')),
+                *(['-p', 'resume:=true'] if resume and self.resumes else [])]
 
 
 class Child:
@@ -98,57 +96,35 @@ class Child:
         YAML file with the parameters of all nodes.
     prefix
         Put before each line of its output.
+    spares
+        Of all nodes.
 
     """
 
-    def __init__(self, spec: NodeSpec, file: Path, prefix: str) -> None:
+    def __init__(self, spec: NodeSpec, file: Path, prefix: str, spares: Spares) -> None:
         """Remember the node; nothing is started before `start`."""
         self.spec = spec
         self.restarts: list[str] = []            # why, each time
         self.failure: str | None = None          # how it ended for good
         self.died_at = 0.0
-        self._file, self._prefix = file, prefix
+        self._file, self._prefix, self._spares = file, prefix, spares
         self._in_a_row = 0
-        self._spare: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Start the process, or let its spare run."""
-        spare, self._spare = self._spare, None
-        if spare is not None and spare.poll() is None:
-            assert spare.stdin is not None
-            print('run', file=spare.stdin, flush=True)
-            self.process = spare
-        else:
-            self.process = self._spawn(self.spec.module, [], bool(self.restarts))
+        """Start the process, or let a spare be it."""
+        module = self.spec.module
+        arguments = self.spec.arguments(self._file, resume=bool(self.restarts))
+        self.process = self._spares.take(module, arguments) or spawn(module, arguments)
         set_niceness(self.process.pid, self.spec.nice)
         self.started_at, self.died_at, self._asked = time.monotonic(), 0.0, False
         self._pump = threading.Thread(target=self._pass_on, daemon=True)
         self._pump.start()
 
-    def _spawn(self, module: str, arguments: list[str], resume: bool) -> subprocess.Popen[str]:
-        environment = {
-            **os.environ, SUPERVISOR_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
-            'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{severity}: {message}'}
-        return subprocess.Popen(
-            [sys.executable, '-m', f'stri_mapping.nodes.{module}', *arguments, '--ros-args',
-             '--params-file', str(self._file), *self.spec.arguments,
-             *(['-p', 'resume:=true'] if resume and self.spec.resumes else [])],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, errors='replace', env=environment, start_new_session=True)
-
     def keep_spare(self) -> None:
         """Have a process ready for the next start, once the node has run for a while."""
-        if (self.spec.spare and self._spare is None and not self.died_at
+        if (self.spec.restarts and not self.died_at
                 and time.monotonic() - self.started_at > SPARE_AFTER):
-            self._spare = self._spawn('spare', [self.spec.module], True)
-            set_niceness(self._spare.pid, SPARE_NICE)
-
-    def drop_spare(self) -> None:
-        """End the spare: no start will follow."""
-        if self._spare is not None:
-            self._spare.kill()
-            self._spare.wait()
-            self._spare = None
+            self._spares.keep(self.spec.module)
 
     @property
     def started(self) -> bool:
@@ -210,6 +186,19 @@ class Child:
         code = self.process.wait()
         self._pump.join(1.0)
         return code
+
+
+def spawn(module: str, arguments: Sequence[str], nice: int = 0) -> subprocess.Popen[str]:
+    """Start a module of `stri_mapping.nodes` as a child of this supervisor."""
+    environment = {
+        **os.environ, SUPERVISOR_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+        'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{severity}: {message}'}
+    process = subprocess.Popen(
+        [sys.executable, '-m', f'stri_mapping.nodes.{module}', *arguments],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, errors='replace', env=environment, start_new_session=True)
+    set_niceness(process.pid, nice)
+    return process
 
 
 def set_niceness(pid: int, nice: int) -> None:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping import geometry
-from stri_mapping.results import read_velocity, TRAJECTORY_NAME, VELOCITY_NAME
+from stri_mapping.motion_file import cut_to_common, read_velocity
+from stri_mapping.results import TRAJECTORY_NAME, VELOCITY_NAME
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.trajectory import read_tum
 
@@ -67,26 +68,11 @@ def interruption(folder: Path) -> Interruption | None:
     trajectory, velocity = folder / TRAJECTORY_NAME, folder / VELOCITY_NAME
     if not (trajectory.is_file() and velocity.is_file()):
         return None
-    count = min(_whole_lines(trajectory), _whole_lines(velocity) - 1)
-    if count < 1:
+    if not cut_to_common(folder):
         return None
-    _cut(trajectory, count)
-    _cut(velocity, count + 1)
     path = read_tum(trajectory)
     _, values = read_velocity(velocity)
     return Interruption(path.stamps_ns, path.poses[-1], values[-1, :3])
-
-
-def _whole_lines(path: Path) -> int:
-    return path.read_bytes().count(b'\n')
-
-
-def _cut(path: Path, lines: int) -> None:
-    """Leave the first lines of a file."""
-    with path.open('r+b') as file:
-        for _ in range(lines):
-            file.readline()
-        file.truncate(file.tell())
 
 
 def placed(estimate: Estimate, T_odom_start: Array) -> Estimate:

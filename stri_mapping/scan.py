@@ -202,12 +202,14 @@ class ScanIntake:
     ----------
     topic
         Names the topic in warnings.
+    counts
+        Of what was met before, where there was anything; they go on.
 
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, counts: ScanCounts | None = None) -> None:
         """Start with nothing met."""
-        self.counts = ScanCounts()
+        self.counts = counts or ScanCounts()
         self._topic = topic
         self._last_ns: int | None = None
 

@@ -20,7 +20,8 @@ from types import FrameType, TracebackType
 import yaml
 
 from stri_mapping.errors import EXIT_DATA, EXIT_USAGE
-from stri_mapping.node_process import Child, describe, NodeSpec
+from stri_mapping.node_process import Child, describe, NodeSpec, spawn
+from stri_mapping.spares import Spares
 
 POLL = 0.02
 # Seconds between two looks of who watches the run.
@@ -68,8 +69,10 @@ class Supervisor:
             sort_keys=False), encoding='utf-8')
         width = max(len(spec.name) for spec in specs)
         colours = COLOURS if sys.stdout.isatty() else ('',)
+        self._spares = Spares(spawn)
         children = [Child(spec, file, f'{colours[i % len(colours)]}{spec.name:<{width}}'
-                          f'{PLAIN if colours[0] else ""} | ') for i, spec in enumerate(specs)]
+                          f'{PLAIN if colours[0] else ""} | ', self._spares)
+                    for i, spec in enumerate(specs)]
         self.children = tuple(children)
         rest = iter(children)
         self._stages = [[next(rest) for _ in stage] for stage in stages]
@@ -87,8 +90,8 @@ class Supervisor:
         trace: TracebackType | None,
     ) -> None:
         """Kill what is still there, and give the signals back."""
+        self._spares.drop()
         for child in self._running():
-            child.drop_spare()
             child.signal(signal.SIGKILL)
             child.process.wait()
         for number, handler in self._handlers.items():
@@ -182,8 +185,7 @@ class Supervisor:
     def _end(self, look: Callable[[Sequence[Child]], None]) -> dict[Child, int]:
         """End the stages one after the other; return the exit codes."""
         codes = {}
-        for child in self._running():
-            child.drop_spare()
+        self._spares.drop()
         for stage in self._stages:
             running = [child for child in stage if child.started]
             for child in running:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 import logging
 import os
 from pathlib import Path
@@ -141,7 +140,7 @@ def shared_file(name: str) -> Path:
     """
     share = Path('share/stri_mapping') / name
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
-    source = Path(str(files('stri_mapping'))).parent / name
+    source = Path(__file__).parent.parent / name
     for path in [source, *(Path(p) / share for p in prefixes if p)]:
         if path.is_file():
             return path

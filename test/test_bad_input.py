@@ -19,7 +19,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from stri_mapping.bag_io import Bag
 from stri_mapping.cli import main
-from stri_mapping.results import read_summary
+from stri_mapping.summary import read_summary
 from stri_mapping.trajectory import read_tum, Trajectory
 from stri_mapping.vehicle import default_vehicle_file
 

@@ -22,7 +22,8 @@ from stri_mapping.bag_io import Bag
 from stri_mapping.cli import main
 from stri_mapping.facade.cloud_files import read_ply
 from stri_mapping.mapping import Mapper
-from stri_mapping.results import read_summary, read_velocity
+from stri_mapping.motion_file import read_velocity
+from stri_mapping.summary import read_summary
 from stri_mapping.trajectory import read_tum, Trajectory, write_tum
 
 SECONDS = 10.0

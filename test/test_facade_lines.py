@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.facade.labels import label_line
-from stri_mapping.facade.points import FACADE, GROUND, NOISE, OTHER, VEGETATION
+from stri_mapping.facade.points import FACADE, GROUND, OTHER, VEGETATION
 from stri_mapping.facade.scan_lines import (
     COUNT,
     DIR_T,
@@ -56,7 +56,7 @@ def labels_of(t: Array, v: Array, remembered: Array | None = None) -> NDArray[np
     label = np.zeros(len(t), np.uint8)
     points = np.column_stack([0 * t, t + 0.6, v + HEIGHT])
     label_line(points, t, runs, member,
-               np.full(2, np.inf) if remembered is None else remembered, label)
+               np.full(4, np.inf) if remembered is None else remembered, label)
     return label
 
 
@@ -69,15 +69,30 @@ def test_road_car_and_wall_are_told_apart() -> None:
     assert np.mean(label[(np.abs(t - 5.0) < 0.1) & (z > 0.4) & (z < 1.3)] == OTHER) > 0.9
 
 
-def test_a_point_between_car_and_wall_is_a_ghost() -> None:
-    t, v = street_line(np.random.default_rng(2), noise=0.001)
-    edge = int(np.flatnonzero(np.diff(t) > 2.0)[-1])
-    # a ray that hit both reads in between, on the way of its neighbours
-    t = np.insert(t, edge + 1, 0.5 * (t[edge] + t[edge + 1]))
-    v = np.insert(v, edge + 1, 0.5 * (v[edge] + v[edge + 1]))
-    label = labels_of(t, v)
-    assert label[edge + 1] == NOISE
-    assert np.count_nonzero(label == NOISE) == 1
+def side_line(away: float, low: float, high: float) -> tuple[Array, Array]:
+    """Return a line of road, something upright `away` metres aside, and a wall 9 m away."""
+    t, v = street_line(np.random.default_rng(4), noise=0.002)
+    angles = np.arctan2(v, t)
+    z = away * np.tan(angles) + HEIGHT
+    hit = (z > low) & (z < high) & (t > away)
+    return np.where(hit, away, t), np.where(hit, away * np.tan(angles), v)
+
+
+def test_the_side_of_a_lorry_is_no_facade() -> None:
+    remembered = np.full(4, np.inf)
+    for low in (0.8, 0.0, 0.0):                  # the box, and then a wheel below it
+        t, v = side_line(4.0, low, 4.0)
+        label, box = labels_of(t, v, remembered), t == 4.0
+        assert np.count_nonzero(box & (v + HEIGHT > 1.0)) > 20
+        assert (label[box & (v + HEIGHT > 1.0)] == OTHER).all()
+        assert (label[(np.abs(t - 9.0) < 0.1) & (v + HEIGHT > 4.0)] == FACADE).all()
+
+
+def test_what_is_higher_than_a_lorry_or_stands_on_the_ground_is_a_facade() -> None:
+    for low, high in ((0.8, 5.5), (0.0, 4.0)):
+        t, v = side_line(4.0, low, high)
+        label = labels_of(t, v)
+        assert np.mean(label[(t == 4.0) & (v + HEIGHT > 1.0)] == FACADE) > 0.97
 
 
 def test_leaves_are_no_facade() -> None:
@@ -89,7 +104,7 @@ def test_leaves_are_no_facade() -> None:
 
 
 def test_a_hidden_facade_is_remembered_for_a_while() -> None:
-    remembered = np.full(2, np.inf)
+    remembered = np.full(4, np.inf)
     labels_of(*street_line(np.random.default_rng(1)), remembered)
     t, v = np.full(2, 9.1), np.array([2.0, 4.2])         # bits of it, seen through a tree
     assert set(labels_of(t, v, remembered)) == {FACADE}
@@ -129,4 +144,4 @@ def test_every_point_is_in_one_run_or_in_none(points: list[tuple[float, float]])
         assert (own[0], own[-1]) == (run[FIRST], run[LAST])
     assert member.max(initial=-1) == len(runs) - 1
     label = labels_of(t, v)
-    assert set(label) <= {OTHER, GROUND, VEGETATION, FACADE, NOISE}
+    assert set(label) <= {OTHER, GROUND, VEGETATION, FACADE}

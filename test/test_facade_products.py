@@ -8,15 +8,16 @@ import json
 from pathlib import Path
 import shutil
 import subprocess
+import sys
 
 import laspy
+import live
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from plyfile import PlyData
 import pytest
 
-from stri_mapping.facade import las_file
 from stri_mapping.facade.cloud_files import (
     CloudWriter,
     count_points,
@@ -59,8 +60,7 @@ def arcade(rng: np.random.Generator, n: int = 60_000) -> FacadePoints:
     return points_of(np.column_stack([x, y, rng.uniform(0.3, 7.0, n)]), x / 5.0)
 
 
-def test_full_files_are_followed_by_the_next(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(las_file, 'TILE', 700)
+def test_full_files_are_followed_by_the_next(tmp_path: Path) -> None:
     whole = arcade(np.random.default_rng(1), 2500)
     with CloudWriter(tmp_path, ['side'], tile=1000) as writer:
         for cut in np.array_split(np.arange(2500), 7):
@@ -74,16 +74,48 @@ def test_full_files_are_followed_by_the_next(tmp_path: Path, monkeypatch) -> Non
     rows = np.concatenate(list(read_ply(tmp_path / 'facade.ply')))
     np.testing.assert_array_equal(rows['x'], whole.xyz[:, 0])
     np.testing.assert_array_equal(rows['classification'], whole.label)
-    las_file.write_laz(tmp_path / 'facade.laz', lambda: read_ply(tmp_path / 'facade.ply'), [],
-                       tile=700)
     parts = [laspy.read(p) for p in tiles(tmp_path / 'facade.laz')]
-    assert [len(p.points) for p in parts] == [700, 700, 700, 400]
+    assert [len(p.points) for p in parts] == [1000, 1000, 500]
     np.testing.assert_allclose(np.concatenate([p.xyz for p in parts]), whole.xyz, atol=0.0006)
     assert not list(tmp_path.glob('*.part'))
     # a shorter run into the same folder leaves nothing of the longer one
     with CloudWriter(tmp_path) as writer:
         writer.write(points_of(np.zeros((5, 3)), np.zeros(5)))
     assert sorted(p.name for p in tmp_path.iterdir()) == ['facade.laz', 'facade.ply']
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from stri_mapping.facade.cloud_files import CloudWriter
+from stri_mapping.facade.points import FacadePoints
+n = 2500
+writer = CloudWriter(Path(sys.argv[1]), ['side'], tile=1000)
+writer.write(FacadePoints(np.arange(3.0 * n).reshape(n, 3), np.ones(n, np.float32),
+                          np.arange(n), np.zeros(n, np.uint16), np.full(n, 6, np.uint8)))
+print('written', flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_a_killed_process_leaves_all_its_points_and_the_finished_files(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, '-c', KILLED, str(tmp_path)], stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == 'written\n'
+        live.wait_until((tmp_path / 'facade_2.laz').is_file, 'the second file')
+        process.kill()
+    assert count_points(tmp_path / 'facade.ply') == 2500
+    finished = [laspy.read(p) for p in tiles(tmp_path / 'facade.laz')]
+    assert [len(p.points) for p in finished] == [1000, 1000]
+    # who goes on keeps them, and makes what is missing
+    (tmp_path / 'facade_2.laz').unlink()
+    before = (tmp_path / 'facade.laz').stat().st_mtime_ns
+    CloudWriter(tmp_path, ['side'], tile=1000, append=True).close()
+    assert (tmp_path / 'facade.laz').stat().st_mtime_ns == before
+    assert [len(laspy.read(p).points) for p in tiles(tmp_path / 'facade.laz')] == [
+        1000, 1000, 500]
 
 
 def test_a_cloud_goes_on_after_a_crash(tmp_path: Path) -> None:
@@ -94,6 +126,7 @@ def test_a_cloud_goes_on_after_a_crash(tmp_path: Path) -> None:
     first = CloudWriter(tmp_path, ['side'], tile=900)
     for part in parts[:3]:
         first.write(part)
+    live.wait_until((tmp_path / 'facade.laz').is_file, 'the finished file')
     with (tmp_path / 'facade_2.ply').open('ab') as file:
         file.write(b'half a rec')                  # died while it wrote
     with CloudWriter(tmp_path, ['side'], tile=900, append=True) as second:
@@ -102,7 +135,8 @@ def test_a_cloud_goes_on_after_a_crash(tmp_path: Path) -> None:
     rows = np.concatenate(list(read_ply(tmp_path / 'facade.ply')))
     np.testing.assert_array_equal(rows['z'], whole.xyz[:, 2])
     assert len(tiles(tmp_path / 'facade.ply')) == 3
-    assert laspy.read(tmp_path / 'facade.laz').header.point_count == 2500
+    assert [laspy.read(p).header.point_count for p in tiles(tmp_path / 'facade.laz')] == [
+        900, 900, 700]
 
 
 def test_a_stretch_of_time_is_read_without_the_rest(tmp_path: Path) -> None:
@@ -139,6 +173,23 @@ def test_independent_readers_open_the_other_formats(tmp_path: Path) -> None:
     np.testing.assert_allclose(scan['intensity'], whole.intensity)
     file.close()
     assert export(tmp_path / 'none', 'pcd') == []
+
+
+def test_open3d_reads_ply_and_pcd(tmp_path: Path) -> None:
+    open3d = pytest.importorskip('open3d', reason='open3d is not installed, or lacks a library',
+                                 exc_type=ImportError)
+    whole = arcade(np.random.default_rng(1), 3000)
+    with CloudWriter(tmp_path, ['side']) as writer:
+        writer.write(whole)
+    read = open3d.io.read_point_cloud(str(tmp_path / 'facade.ply'))
+    np.testing.assert_array_equal(np.asarray(read.points), whole.xyz)
+    table = open3d.t.io.read_point_cloud(str(tmp_path / 'facade.ply')).point
+    np.testing.assert_array_equal(table['classification'].numpy().ravel(), whole.label)
+    np.testing.assert_array_equal(table['intensity'].numpy().ravel(), whole.intensity)
+    pytest.importorskip('pypcd4')
+    (pcd,) = export(tmp_path, 'pcd')
+    read = open3d.io.read_point_cloud(str(pcd))
+    np.testing.assert_allclose(np.asarray(read.points), whole.xyz, atol=1e-5)
 
 
 @pytest.mark.skipif(shutil.which('pdal') is None, reason='pdal is not installed')

@@ -215,15 +215,23 @@ def test_scans_that_come_after_their_poses_still_tell() -> None:
         np.testing.assert_allclose(a, b, atol=1e-6)
 
 
-def test_points_come_within_a_second_of_their_path() -> None:
-    rng, aligner = np.random.default_rng(0), FacadeAligner(VERTICALS)
+def test_points_come_soon_after_their_path() -> None:
+    rng, aligner = np.random.default_rng(0), FacadeAligner(VERTICALS[1:2])
     for k in range(300):
-        aligner.add_scan(1, scan_at(VERTICALS[1], T0 + k * TURN_NS, swaying, [ROAD, WALL], rng))
+        aligner.add_scan(0, scan_at(VERTICALS[1], T0 + k * TURN_NS, swaying, [ROAD, WALL], rng))
     stamps = T0 + np.arange(301) * TURN_NS
     aligner.add_poses(stamps, np.column_stack([stamps - T0, 0 * stamps, 0 * stamps]) * 1e-9)
     newest = aligner.take_points().stamps_ns.max()
     # a sweep's slack, three intervals of lag, three of the spline, one to be complete, one batch
     assert stamps[-1] - newest < 1.7e9
+    # where scanners can be compared: two intervals more, and two until they are complete
+    aligner = FacadeAligner(VERTICALS)
+    for k in range(300):
+        for ring, mount in enumerate(VERTICALS):
+            aligner.add_scan(ring, scan_at(mount, T0 + k * TURN_NS + ring, swaying, [ROAD, WALL],
+                                           rng))
+    aligner.add_poses(stamps, np.column_stack([stamps - T0, 0 * stamps, 0 * stamps]) * 1e-9)
+    assert stamps[-1] - aligner.take_points().stamps_ns.max() < 2.7e9
 
 
 def test_a_pause_of_the_scanners_begins_a_new_stretch() -> None:
@@ -318,7 +326,8 @@ def test_stamps_may_begin_at_zero() -> None:
     aligner.add_poses(stamps, np.column_stack([stamps, 0 * stamps, 0 * stamps]) * 1e-9)
     aligner.finish()
     points = aligner.take_points()
-    assert aligner.counts.roll_told > 0.9 * len(points) > 10_000
+    # half a second of walls tells the road's crossfall from the vehicle's roll
+    assert aligner.counts.roll_told > 0.75 * len(points) > 10_000
 
 
 def test_a_path_without_scans_comes_back_planar() -> None:

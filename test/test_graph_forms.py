@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from stri_mapping.bag_io import Bag
-from stri_mapping.results import read_summary
+from stri_mapping.summary import read_summary
 from stri_mapping.vehicle import default_vehicle_file
 
 pytestmark = live.needs_ros

@@ -13,8 +13,9 @@ import pytest
 
 from stri_mapping import geometry
 from stri_mapping.facade.cloud_files import count_points, read_ply
-from stri_mapping.results import read_summary
-from stri_mapping.trajectory import read_tum
+from stri_mapping.facade.writer import STABILISED_NAME
+from stri_mapping.summary import read_summary
+from stri_mapping.trajectory import read_spatial_tum, read_tum
 
 pytestmark = [live.needs_ros, pytest.mark.skipif(
     not live.CAMPUS.is_dir(), reason=f'{live.CAMPUS} is not there')]
@@ -29,6 +30,12 @@ def short_bag(tmp_path_factory) -> Path:
 
 def assert_same(offline: Path, online: Path) -> None:
     """Require every pose within 5 mm and 0.05 degrees, and the points' number within 0.1 %."""
+    (stamps, a), (others, b) = (read_spatial_tum(folder / STABILISED_NAME)
+                                for folder in (offline, online))
+    np.testing.assert_array_equal(stamps, others)
+    assert np.abs(a[:, :3] - b[:, :3]).max() < 0.005
+    assert np.rad2deg(np.abs(geometry.wrap_angle(a[:, 3:] - b[:, 3:])).max()) < 0.05
+    assert np.rad2deg(np.abs(a[:, 3:5]).max(axis=0)).min() > 0.05     # it has an attitude
     a, b = (read_tum(folder / 'trajectory.tum') for folder in (offline, online))
     np.testing.assert_array_equal(a.stamps_ns, b.stamps_ns)
     difference = geometry.compose(geometry.inverse(a.poses), b.poses)

@@ -21,6 +21,7 @@ import yaml
 
 from stri_mapping.bag_io import Bag
 from stri_mapping.facade.cloud_files import read_ply
+from stri_mapping.summary import read_summary
 from stri_mapping.trajectory import read_tum
 
 ROOT = Path(__file__).parent.parent
@@ -107,6 +108,58 @@ def test_the_layouts_show_topics_that_exist():
     assert all(any(curve.startswith(topic) for topic in TOPICS) for curve in curves)
 
 
+def fields_of(kind: str) -> dict[str, str]:
+    """Return the types of a message's fields by their names."""
+    module, name = kind.split('/msg/')
+    return vars(pytest.importorskip(f'{module}.msg'))[name].get_fields_and_field_types()
+
+
+def field_type(kind: str, path: list[str]) -> str:
+    """Return the type of a field however deep; KeyError where there is none."""
+    for name in path:
+        kind = fields_of(kind.replace('/', '/msg/') if '/msg/' not in kind else kind)[name]
+    return kind
+
+
+# Types of the topics that layouts take figures from.
+PLOTTED = {'/velocity': 'geometry_msgs/msg/TwistWithCovarianceStamped',
+           '/odom': 'nav_msgs/msg/Odometry', '/ground_truth/odom': 'nav_msgs/msg/Odometry'}
+# What each kind of RViz display shows, and the topics of that type.
+DISPLAYED = {'PointCloud2': {'/facade/map', '/facade/points'}, 'Path': {'/trajectory'},
+             'Odometry': {'/odom', '/ground_truth/odom'},
+             'Image': {'/stri/image', '/stri/segments'},
+             'LaserScan': {topic for topic in TOPICS if topic.endswith('/scan')}}
+
+
+def test_every_figure_of_the_plots_is_a_number_in_a_message():
+    plot = ElementTree.parse(CONFIG / 'plotjuggler_layout.xml')
+    paths = [text for curve in plot.iter('curve') for text in (
+        [curve.get('curve_x'), curve.get('curve_y')] if curve.get('curve_x')
+        else [curve.get('name')])]
+    foxglove = json.loads((CONFIG / 'foxglove_layout.json').read_text(encoding='utf-8'))
+    paths += [each['value'].replace('.', '/') for name, panel in foxglove['configById'].items()
+              if name.startswith('Plot!') for each in panel['paths']]
+    assert len(paths) > 8
+    for path in paths:
+        topic = next(topic for topic in PLOTTED if path.startswith(topic + '/'))
+        kind = field_type(PLOTTED[topic], path[len(topic) + 1:].split('/'))
+        assert kind == 'double', path
+    selected = {topic.get('name') for topic in plot.iter('topic')}
+    assert selected >= {topic for topic in PLOTTED if any(p.startswith(topic) for p in paths)}
+
+
+def test_the_displays_of_rviz_fit_what_their_topics_carry_and_offer():
+    rviz = yaml.safe_load((CONFIG / 'stri_mapping.rviz').read_text(encoding='utf-8'))
+    for display in rviz['Visualization Manager']['Displays']:
+        kind = display['Class'].removeprefix('rviz_default_plugins/')
+        if 'Topic' in display:
+            topic = display['Topic']
+            assert topic['Value'] in DISPLAYED[kind]
+            # a durable reader never hears a volatile writer
+            latched = topic['Value'] in ('/trajectory', '/facade/map')
+            assert topic['Durability Policy'] == ('Transient Local' if latched else 'Volatile')
+
+
 def test_the_service_file_runs_a_command_that_exists():
     from stri_mapping import cli
     text = (CONFIG / 'stri-mapping.service').read_text(encoding='utf-8')
@@ -127,7 +180,8 @@ def prefix(tmp_path):
         shutil.copytree(folder, share / 'stri_mapping' / folder.name)
     programs = tmp_path / 'lib/stri_mapping'
     programs.mkdir(parents=True)
-    for node in ('stri_estimator', 'facade_aligner', 'bag_player', 'bag_recorder'):
+    for node in ('stri_estimator', 'facade_aligner', 'bag_player', 'bag_recorder',
+                 'sick_lms_driver', 'virtual_vehicle'):
         program = programs / node
         program.write_text(f'#!/bin/sh\nexec {sys.executable} -m stri_mapping.nodes.{node} "$@"\n',
                            encoding='utf-8')
@@ -135,14 +189,11 @@ def prefix(tmp_path):
     return tmp_path
 
 
-@live.needs_ros
-@pytest.mark.skipif(find_spec('launch_ros') is None, reason="needs ROS 2's launch_ros")
-def test_a_bag_is_mapped_by_the_launch_file(prefix, tmp_path):
-    bag = live.cut_bag(live.CAMPUS, tmp_path / 'short', 5.0)
-    env = live.environment()
-    env['AMENT_PREFIX_PATH'] = os.pathsep.join(
-        [str(prefix), os.environ.get('AMENT_PREFIX_PATH', sys.prefix)])
-    code = """
+needs_launch = pytest.mark.skipif(
+    find_spec('rclpy') is None or find_spec('launch_ros') is None,
+    reason="needs ROS 2's launch_ros")
+# "ros2 launch", which ROS 2 from pip lacks
+LAUNCHER = """
 import sys
 from launch import LaunchDescription, LaunchService
 from launch.actions import IncludeLaunchDescription
@@ -153,11 +204,25 @@ service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
     launch_arguments=[tuple(each.split(':=')) for each in sys.argv[2:]])]))
 sys.exit(service.run())
 """
+
+
+def launched(prefix: Path, name: str, **arguments: object) -> str:
+    """Run a launch file to its end; return its output."""
+    env = live.environment()
+    env['AMENT_PREFIX_PATH'] = os.pathsep.join(
+        [str(prefix), os.environ.get('AMENT_PREFIX_PATH', sys.prefix)])
     done = subprocess.run(
-        [sys.executable, '-c', code, prefix / 'share/stri_mapping/launch/replay_launch.py',
-         f'bag:={bag}', f'output:={tmp_path / "out"}', f'record:={tmp_path / "bag"}'],
+        [sys.executable, '-c', LAUNCHER, prefix / f'share/stri_mapping/launch/{name}_launch.py',
+         *(f'{key}:={value}' for key, value in arguments.items())],
         env=env, capture_output=True, text=True, timeout=live.TIMEOUT, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@needs_launch
+def test_a_bag_is_mapped_by_the_launch_file(prefix, tmp_path):
+    bag = live.cut_bag(live.CAMPUS, tmp_path / 'short', 5.0)
+    launched(prefix, 'replay', bag=bag, output=tmp_path / 'out', record=tmp_path / 'bag')
     # all nodes were stopped at once, and yet every scan has its pose and the last its points
     with Bag(bag) as played:
         assert live.line_count(tmp_path / 'out/trajectory.tum') == played.message_count(
@@ -167,3 +232,17 @@ sys.exit(service.run())
     assert times.max() > end - 0.03
     assert (tmp_path / 'out/facade.laz').is_file()
     assert (tmp_path / 'bag/metadata.yaml').is_file()
+
+
+@needs_launch
+@pytest.mark.skipif(find_spec('embreex') is None, reason='needs stri_mapping[simulation]')
+def test_a_virtual_drive_by_the_launch_file_takes_the_drivers_from_state_to_state(
+        prefix, tmp_path):
+    output = launched(prefix, 'simulation', duration=3.0, ports=tmp_path / 'ports',
+                      output=tmp_path / 'out', record=tmp_path / 'bag')
+    assert 'Traceback' not in output
+    summary = read_summary(tmp_path / 'out')
+    assert [s['lost_scans'] for s in summary['scanners']] == 4 * [0]
+    # standing still until all is ready, 3 s before the drive, and after it
+    assert all(s['scans'] > 75 * 6 for s in summary['scanners'])
+    assert summary['points'] > 0

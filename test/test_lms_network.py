@@ -87,7 +87,8 @@ def behind_gateway(folder: Path, rate: int, rfc2217: bool) -> Iterator[tuple[Emu
 
 @pytest.mark.parametrize('kind, rate, wanted, left', [
     ('socket', 500000, 500000, 500000),     # the gateway's rate is not the driver's to change
-    ('rfc2217', 9600, 38400, 9600)])
+    ('rfc2217', 9600, 38400, 9600),
+    ('rfc2217', 38400, 500000, 9600)])
 def test_a_scanner_behind_a_gateway(tmp_path, kind, rate, wanted, left):
     with behind_gateway(tmp_path, rate, kind == 'rfc2217') as (device, number):
         driver = Driver(LmsSettings(serial_port=f'{kind}://127.0.0.1:{number}',

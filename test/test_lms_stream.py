@@ -8,16 +8,22 @@ from dataclasses import asdict
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lms_rig import Numbered, ranges_of
 import numpy as np
 import pytest
 
 from stri_mapping.errors import LmsError, UsageError
 from stri_mapping.lms import samples
+from stri_mapping.lms.answers import decode_answer
 from stri_mapping.lms.configuration import Configuration, FACTORY
 from stri_mapping.lms.measuring import measuring_mode, MODES
 from stri_mapping.lms.models import FAST_MODELS, identify, MODELS
 from stri_mapping.lms.settings import LmsSettings
 from stri_mapping.lms.stream import make_stream, rate_table
+from stri_mapping.lms.telegram import frame
+from stri_mapping.lms_emulator.model import make_memory
+from stri_mapping.lms_emulator.streams import make_stream as emulated_stream
+from stri_mapping.lms_emulator.turns import Variant as EmulatedVariant
 
 LMS291, S14 = identify('LMS291;S05063;V02.10 '), identify('LMS291;S14063;V02.10 ')
 MM, CM = samples.MILLIMETRES, samples.CENTIMETRES
@@ -125,6 +131,33 @@ def test_rays_of_single_turns(resolution, rasters):
     assert stream.measured(whole, mode) is None         # of another stream, left over
 
 
+@settings(deadline=None)
+@given(st.sampled_from([(180, 100), (180, 50), (100, 50), (100, 25)]), st.data())
+def test_rays_of_a_part_of_single_turns(variant, data):
+    """The emulated scanner sends each turn's rays, and the driver puts each where it was."""
+    angle, resolution = variant
+    step = 0.01 * resolution
+    first = data.draw(st.integers(0, round((angle - 2) / step))) * step + 90 - 0.5 * angle
+    last = data.draw(st.integers(round((first + 1.0) / step),
+                                 round((90 + 0.5 * angle) / step))) * step
+    stream = make_stream(LMS291, 'turns', angle, resolution, first, last)
+    memory = make_memory('LMS291')
+    memory.variant = EmulatedVariant(angle, resolution)
+    sent = emulated_stream(stream.request, memory, Numbered())
+    assert sent is not None and stream.turns == sent.turns == 1
+    bearings = []
+    for turn in range(stream.variant.turns):
+        payload = sent.payload(turn, 0)
+        assert payload is not None
+        assert len(frame(payload)) <= stream.telegram_bytes(memory.configuration.indices)
+        scan = stream.measured(decode_answer(payload), measuring_mode(0))
+        assert scan is not None
+        bearings.append(scan.first - 90.0 + scan.step * np.arange(len(scan.ranges)))
+        assert np.allclose(scan.ranges, ranges_of(turn, bearings[-1]), atol=1e-9)
+    assert np.allclose(np.sort(np.concatenate(bearings)),
+                       np.arange(first, last + 1e-9, step) - 90.0)
+
+
 @pytest.mark.parametrize('first, last, bounds, first_turn', [
     (27.0, 100.0, (55, 201), 2), (27.5, 90.0, (56, 181), 1)])
 def test_rays_of_a_part_of_whole_scans(first, last, bounds, first_turn):
@@ -144,8 +177,8 @@ def test_limits_beyond_the_scan_have_no_effect_and_limits_without_a_ray_are_refu
     assert make_stream(LMS291, 'scans', 100, 50, 0.0, 180.0).first is None
     with pytest.raises(LmsError, match='0 to 30 deg is no part of the 40 to 140 deg'):
         make_stream(LMS291, 'scans', 100, 50, 0.0, 30.0)
-    with pytest.raises(LmsError, match='single turns at 0.5 deg come whole only'):
-        make_stream(LMS291, 'turns', 180, 50, 20.0, 90.0)
+    with pytest.raises(LmsError, match='50 to 50.5 deg is too narrow for single turns'):
+        make_stream(LMS291, 'turns', 100, 25, 50.0, 50.5)
 
 
 def test_remission_goes_with_its_range():

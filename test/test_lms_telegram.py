@@ -150,6 +150,7 @@ ANY_ANSWER = st.one_of(
     st.builds(samples.Scan, WHOLE, INDICES, BYTE),
     st.builds(samples.MeanScan, BYTE, WHOLE, INDICES, BYTE),
     st.builds(samples.SubRange, WORD, WORD, WHOLE, INDICES, BYTE),
+    st.builds(samples.FieldValues, WORD, WORD, sample_sets(100, 8, False), INDICES, BYTE),
     st.builds(samples.MeanSubRange, BYTE, WORD, WORD, WHOLE, INDICES, BYTE),
     st.builds(samples.RemissionScan, sample_sets(181), WORD, WORD, st.binary(max_size=181),
               INDICES, BYTE),

@@ -12,9 +12,9 @@ import numpy as np
 
 from stri_mapping.facade.cloud_files import count_points
 from stri_mapping.facade.push_broom import FacadeAligner
-from stri_mapping.results import read_summary
 from stri_mapping.scan import scan_from_message, stamp_ns
 from stri_mapping.stri.estimate import Estimate
+from stri_mapping.summary import read_summary
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 
 pytestmark = live.needs_ros

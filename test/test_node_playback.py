@@ -12,8 +12,8 @@ import pytest
 
 from stri_mapping.bag_io import Bag
 from stri_mapping.facade.cloud_files import count_points
-from stri_mapping.results import read_summary
 from stri_mapping.scan import stamp_ns
+from stri_mapping.summary import read_summary
 from stri_mapping.trajectory import read_tum
 
 pytestmark = [live.needs_ros, pytest.mark.skipif(

@@ -15,11 +15,12 @@ from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.pictures import blended, Grid, nearest_depth, unroll
 from stri_mapping.facade.points import FACADE, FacadePoints, GROUND
+from stri_mapping.motion_file import MotionWriter
 from stri_mapping.report import write_report
 from stri_mapping.report.data import read_folder
 from stri_mapping.report.facade_figures import facade_views
-from stri_mapping.results import MotionWriter, write_summary
 from stri_mapping.stri.estimate import Estimate
+from stri_mapping.summary import write_summary
 from stri_mapping.trajectory import Trajectory
 
 START_NS = 1_767_225_600_000_000_000

@@ -17,18 +17,11 @@ from stri_mapping import __version__
 from stri_mapping.errors import StriMappingError, UsageError
 from stri_mapping.facade.cloud_files import CloudWriter, count_points, read_ply
 from stri_mapping.facade.points import FacadePoints
-from stri_mapping.results import (
-    lost_scans,
-    MotionWriter,
-    prepare_folder,
-    read_summary,
-    read_velocity,
-    scanner_facts,
-    VELOCITY_HEADER,
-    write_summary,
-)
+from stri_mapping.motion_file import MotionWriter, read_velocity, VELOCITY_HEADER
+from stri_mapping.results import prepare_folder
 from stri_mapping.scan import ScanCounts
 from stri_mapping.stri.estimate import Estimate
+from stri_mapping.summary import lost_scans, read_summary, scanner_facts, write_summary
 from stri_mapping.trajectory import read_tum
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 

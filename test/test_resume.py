@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from stri_mapping import geometry
-from stri_mapping.results import MotionWriter, pose_gaps
+from stri_mapping.motion_file import MotionWriter
 from stri_mapping.resume import COASTING, interruption, placed
 from stri_mapping.stri.estimate import Estimate
+from stri_mapping.summary import pose_gaps
 from stri_mapping.trajectory import read_tum
 
 T0, PERIOD = 1_767_225_600_000_000_000, 13_320_000

@@ -81,7 +81,7 @@ def _mount(args: argparse.Namespace) -> NDArray[np.float64]:
     import numpy as np
 
     from stri_mapping import geometry
-    from stri_mapping.results import read_summary
+    from stri_mapping.summary import read_summary
     from stri_mapping.vehicle import Scanner
 
     if args.mount:
@@ -98,8 +98,9 @@ def _metrics(
     estimate: Trajectory, args: argparse.Namespace, mount: NDArray[np.float64],
 ) -> list[Metric]:
     from stri_mapping.metrics import path_metrics, speed_metrics, twist_metrics
+    from stri_mapping.motion_file import read_velocity
     from stri_mapping.relations import read_relations, relation_metrics
-    from stri_mapping.results import read_velocity, VELOCITY_NAME
+    from stri_mapping.results import VELOCITY_NAME
 
     if args.truth.suffix == '.csv':
         return relation_metrics(estimate, read_relations(args.truth), mount)

@@ -104,7 +104,7 @@ def _map(
     from stri_mapping.facade.finish import finish_facades
     from stri_mapping.mapping import Mapper
     from stri_mapping.report import write_report
-    from stri_mapping.results import write_summary
+    from stri_mapping.summary import write_summary
 
     with console.status('Preparing the estimator (compiled at the first run)'):
         mapper = Mapper(vehicle, folder)

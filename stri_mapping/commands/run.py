@@ -172,19 +172,22 @@ def _complete(folder: Path, wall: float, facts: dict[str, Any]) -> None:
     from rich.console import Console
 
     from stri_mapping.commands.map import print_summary
+    from stri_mapping.disk import keeping
     from stri_mapping.facade.finish import finish_facades
     from stri_mapping.report import write_report
-    from stri_mapping.results import read_summary, write_summary
+    from stri_mapping.summary import read_summary, write_summary
 
     recorded = float(read_summary(folder).get('duration_s', 0.0))
     try:
-        facts = {**facts, **finish_facades(folder)}
+        with keeping(folder):
+            facts = {**facts, **finish_facades(folder)}
     except StriMappingError as error:
         logger.warning('no facade pictures: %s', error)
     summary = write_summary(folder, {**facts, 'wall_s': round(wall, 3),
                                      'real_time_factor': round(recorded / wall, 2)})
     try:
-        write_report(folder)
+        with keeping(folder, room=0):
+            write_report(folder)
     except StriMappingError as error:
         logger.warning('no report: %s', error)
     if 'ms_per_scan' in summary:            # the estimator came to its end

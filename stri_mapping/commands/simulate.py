@@ -34,6 +34,10 @@ def add_parser(subparsers: Any) -> None:
                         help='scale of roll, pitch and heave: 1 an ordinary car, 0 none (1)')
     parser.add_argument('--traffic', type=float, default=1.0, metavar='X',
                         help='how much moves in the street: 1 an ordinary one, 0 nothing (1)')
+    parser.add_argument('--slope', type=float, default=0.0, metavar='X',
+                        help='percent by which the ground rises along the way (0)')
+    parser.add_argument('--crossfall', type=float, default=0.0, metavar='X',
+                        help='percent by which it rises to the left (0)')
     parser.set_defaults(run=run)
 
 
@@ -52,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError('--output is missing: name a directory to make')
     if args.output.exists():
         raise BagError(f'{args.output}: exists already; name a new directory')
-    options = scenes.Options(args.seed, args.duration, args.vibration, args.traffic)
+    options = scenes.Options(args.seed, args.duration, args.vibration, args.traffic, args.slope,
+                             args.crossfall)
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
     _record(drive.make_drive(args.scene, options, lms.variant(args.variant), vehicle), args.output)
     return 0

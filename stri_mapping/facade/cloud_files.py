@@ -1,7 +1,7 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Cloud files: binary PLY that grows with the drive, in tiles of under 200 MB.
+Cloud files: binary PLY that grows with the drive, in tiles of under 200 MB, and a LAZ of each.
 
 Coordinates are metres in odom and times seconds since the Unix epoch, so that a point can be
 looked up in trajectory.tum by its time.  facade.ply is followed by facade_2.ply and so on once
@@ -11,6 +11,7 @@ it is full; the functions here that read take the first and mean all.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count
 import os
 from pathlib import Path
@@ -43,10 +44,11 @@ COUNT_DIGITS = 15
 
 class CloudWriter:
     """
-    Writes facade.ply as points come and facade.laz when closed; a context manager.
+    Writes facade.ply as points come, and facade.laz tile by tile; a context manager.
 
     The PLY is complete after every `write`: should the process die, all points written so far
-    are there.  Nothing is created for a drive without points.
+    are there.  A tile that is full is compressed in a thread of its own while the next one grows,
+    the last one by `close`.  Nothing is created for a drive without points.
 
     Parameters
     ----------
@@ -71,7 +73,10 @@ class CloudWriter:
         self._file: BinaryIO | None = None
         self._in_file = 0
         self._closed = False
-        for name in (LAZ_NAME,) if append else (PLY_NAME, LAZ_NAME):
+        self._brightest = 0.0
+        self._compressor = ThreadPoolExecutor(max_workers=1)
+        self._compressed: list[Future[None]] = []
+        for name in () if append else (PLY_NAME, LAZ_NAME):
             for path in tiles(folder / name):
                 path.unlink()
         if tiles(folder / PLY_NAME):
@@ -96,6 +101,7 @@ class CloudWriter:
         rows['x'], rows['y'], rows['z'] = points.xyz.T
         rows['intensity'], rows['ring'] = points.intensity, points.ring
         rows['time'], rows['classification'] = points.stamps_ns * 1e-9, points.label
+        self._brightest = max(self._brightest, float(points.intensity.max(initial=0.0)))
         while len(rows):
             if self._file is None or self._in_file >= self._tile:
                 self._next_file()
@@ -107,16 +113,29 @@ class CloudWriter:
         """Open the last of a cloud's files behind the points that its header counts."""
         sizes = [len(_vertices(path)) for path in found]
         self.count, self._in_file = sum(sizes), sizes[-1]
+        self._brightest = float(_vertices(found[-1])['intensity'].max(initial=0.0))
+        tile_path(self.folder / LAZ_NAME, len(found)).unlink(missing_ok=True)
+        for number in range(1, len(found)):
+            if not tile_path(self.folder / LAZ_NAME, number).is_file():
+                self._compress(number)
         self._file = found[-1].open('r+b')
         self._file.truncate(len(_ply_header(0, self.names)) + sizes[-1] * VERTEX.itemsize)
         self._file.seek(0, os.SEEK_END)
 
     def _next_file(self) -> None:
+        number = len(tiles(self.folder / PLY_NAME)) + 1
         if self._file is not None:
             self._file.close()
-        number = len(tiles(self.folder / PLY_NAME)) + 1
+            self._compress(number - 1)
         self._file, self._in_file = tile_path(self.folder / PLY_NAME, number).open('wb'), 0
         self._file.write(_ply_header(0, self.names))
+
+    def _compress(self, number: int) -> None:
+        """Have a finished tile written as LAZ; numbers begin at 1."""
+        rows = _vertices(tile_path(self.folder / PLY_NAME, number))
+        self._compressed.append(self._compressor.submit(
+            write_laz, tile_path(self.folder / LAZ_NAME, number), rows, self.names,
+            self._brightest))
 
     def _append(self, rows: NDArray[np.void]) -> None:
         """Write rows, and then their count into the header."""
@@ -131,13 +150,16 @@ class CloudWriter:
         self._file.flush()
 
     def close(self) -> None:
-        """Finish the PLY and make facade.laz of it; a second call does nothing."""
+        """Finish the last PLY and all LAZ; a second call does nothing."""
         if self._file is None or self._closed:
             return
         self._closed = True
         self._file.close()
-        path = self.folder / PLY_NAME
-        write_laz(self.folder / LAZ_NAME, lambda: read_ply(path), self.names)
+        if self._in_file:
+            self._compress(len(tiles(self.folder / PLY_NAME)))
+        self._compressor.shutdown()
+        for each in self._compressed:
+            each.result()                        # raises what went wrong
 
 
 def tile_path(path: Path, number: int) -> Path:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 import os
 from pathlib import Path
 
@@ -16,63 +16,35 @@ from stri_mapping import __version__
 from stri_mapping.facade.points import CLASS_NAMES
 
 LAZ_NAME = 'facade.laz'
-# Points in a file: under 200 MB even at 9 bytes a point, twice what is usual.
-TILE = 20_000_000
-
-Pieces = Callable[[], Iterator[NDArray[np.void]]]
+# Points compressed at a time: some 30 ms, for which other threads have to wait.
+CHUNK = 50_000
 
 
-def write_laz(path: Path, pieces: Pieces, names: Sequence[str], tile: int = TILE) -> None:
+def write_laz(path: Path, rows: NDArray[np.void], names: Sequence[str],
+              brightest: float) -> None:
     """
-    Write facade points as LAZ; each file takes its name when complete.
+    Write facade points as LAZ; the file takes its name when complete.
 
     Parameters
     ----------
     path
-        First file; `facade_2.laz` and so on follow where it is full.
-    pieces
-        Gives all points anew, as records with the fields of `cloud_files.VERTEX`.
+        The file.
+    rows
+        (n,) records with the fields of `cloud_files.VERTEX`, n > 0; may be mapped from a file.
     names
         Names of the scanners by ring.
-    tile
-        Points after which a file is full.
+    brightest
+        The scanners' highest intensity so far.  Devices of 8 bits give up to 255; LAS wants
+        intensity spread over all 16 bits.
 
     """
-    lowest, brightest = np.full(3, np.inf), 0.0
-    for rows in pieces():
-        for axis, name in enumerate('xyz'):
-            lowest[axis] = min(lowest[axis], float(rows[name].min()))
-        brightest = max(brightest, float(rows['intensity'].max()))
-    # devices of 8 bits give up to 255; LAS wants intensity spread over all 16 bits
+    lowest = np.array([np.floor(np.min(rows[axis])) for axis in 'xyz'])
     scale = 257.0 if brightest <= 255.0 else 1.0
-    number, room = 0, 0
-    writer: laspy.LasWriter | None = None
-    for rows in pieces():
-        while len(rows):
-            if writer is None or room == 0:
-                _close(writer, path, number)
-                number, room = number + 1, tile
-                header = _header(np.floor(lowest), scale, names)
-                writer = laspy.open(_part(path, number), mode='w', header=header,
-                                    do_compress=True)
-            writer.write_points(_las_points(rows[:room], header, scale))
-            rows, room = rows[room:], max(room - len(rows), 0)
-    _close(writer, path, number)
-
-
-def _numbered(path: Path, number: int) -> Path:
-    return path if number == 1 else path.with_stem(f'{path.stem}_{number}')
-
-
-def _part(path: Path, number: int) -> Path:
-    whole = _numbered(path, number)
-    return whole.with_name(whole.name + '.part')
-
-
-def _close(writer: laspy.LasWriter | None, path: Path, number: int) -> None:
-    if writer is not None:
-        writer.close()
-        os.replace(_part(path, number), _numbered(path, number))
+    header, part = _header(lowest, scale, names), path.with_name(path.name + '.part')
+    with laspy.open(part, mode='w', header=header, do_compress=True) as writer:
+        for first in range(0, len(rows), CHUNK):
+            writer.write_points(_las_points(np.array(rows[first:first + CHUNK]), header, scale))
+    os.replace(part, path)
 
 
 def _header(offsets: NDArray[np.float64], scale: float, names: Sequence[str]) -> laspy.LasHeader:

@@ -12,9 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stri_mapping import geometry
+from stri_mapping.facade.drift import DriftCorrector
 from stri_mapping.facade.free_space import FreeSpace
+from stri_mapping.facade.ghosts import GhostFinder
 from stri_mapping.facade.placing import full_poses, place, rays_of
-from stri_mapping.facade.points import concatenate, FacadePoints, NOISE, Rays
+from stri_mapping.facade.points import FacadePoints, NOISE, Rays
 from stri_mapping.facade.stabiliser import Stabiliser
 from stri_mapping.scan import Scan
 from stri_mapping.trajectory import Trajectory
@@ -42,7 +45,8 @@ class AlignerCounts:
 
     Every ray of every scan that was kept ends in exactly one of `points`, `no_return` and
     `outside` (no pose at its time), once its scan has been placed.  Of the points, `roll_told`
-    and `pitch_told` were stabilised in roll and pitch: road or walls told them at that time.
+    and `pitch_told` were stabilised in roll and pitch: road or walls told them at that time;
+    and of `yaw_told` walls that several scanners saw told the yaw.
     """
 
     scans: int = 0
@@ -52,6 +56,7 @@ class AlignerCounts:
     outside: int = 0
     roll_told: int = 0
     pitch_told: int = 0
+    yaw_told: int = 0
 
 
 class _Line(NamedTuple):
@@ -95,6 +100,8 @@ class FacadeAligner:
         self._stabiliser = Stabiliser(scanners)
         self._stabilise = stabilise
         self._free_space = FreeSpace(self._T_base_laser[:, :3, 3])
+        self._ghosts = GhostFinder(scanners)
+        self._drift = DriftCorrector(len(scanners) if stabilise else 0)
         self._last_stamps: list[int | None] = [None] * len(scanners)
         self._pose_when_heard = -np.inf         # newest pose when a scan last came
         self._waiting: list[_Line] = []
@@ -157,9 +164,10 @@ class FacadeAligner:
             return
         angles = np.linspace(-1.5, 1.5, 40)
         scans = [Scan(k * 10**8, np.full(40, 3.0), angles, np.zeros(40)) for k in range(20)]
-        trial = FacadeAligner([Scanner('', 'vertical', self._T_base_laser[0], '', '')])
-        for scan in scans:
-            trial.add_scan(0, scan)
+        # two, since what compares scanners is not asked for with one
+        trial = FacadeAligner([Scanner('', 'vertical', self._T_base_laser[0], '', '')] * 2)
+        for k, scan in enumerate(scans):
+            trial.add_scan(k % 2, scan)
         trial.add_poses([scan.stamp_ns for scan in scans], np.zeros((len(scans), 3)))
         trial.finish()
         trial.take_points()
@@ -178,13 +186,19 @@ class FacadeAligner:
             rays = self._rays(ready[i:i + BATCH])
             if len(rays):
                 label = self._stabiliser.add(rays)
+                self._ghosts.mark(rays, label)
                 label[self._free_space.moving(rays)] = NOISE
                 self._surveyed.append((rays, label))
         if self._finished:
             self._stabiliser.finish()
         elif self._newest_pose is not None:
             self._stabiliser.advance(self._known_ns(self._newest_pose))
-        return concatenate([self._place(*each) for each in self._take_final()])
+        for rays, label in self._take_final():
+            self._drift.add(self._place(rays, label), rays.poses, rays.first)
+        begun = (int(rays.stamps_ns.min()) for rays, _ in self._surveyed)
+        points = self._drift.take(min([self._final_ns(), *begun]))
+        self.counts.yaw_told = self._drift.yaw_told
+        return points
 
     def _known_ns(self, newest_pose: int) -> int:
         """
@@ -215,10 +229,11 @@ class FacadeAligner:
         """
         stamps = np.concatenate([np.empty(0, np.int64), *(s for s, _ in self._untaken)])
         poses = np.concatenate([np.empty((0, 3)), *(p for _, p in self._untaken)])
-        count = int(np.searchsorted(stamps, self._final_ns()))
+        count = int(np.searchsorted(stamps, self._drift.final_ns(self._final_ns())))
         self._untaken = [(stamps[count:], poses[count:])]
         attitude, _ = self._attitude(stamps[:count])
-        return stamps[:count], full_poses(poses[:count], attitude, self._pivot)
+        corrected = geometry.compose(poses[:count], self._drift.at(stamps[:count]))
+        return stamps[:count], full_poses(corrected, attitude, self._pivot)
 
     def _final_ns(self) -> float:
         """Return the time before which attitudes are final."""
@@ -248,6 +263,7 @@ class FacadeAligner:
         # one pose before the oldest ray is still needed to place it
         keep = max(int(np.searchsorted(stamps, oldest, side='right')) - 1, 0)
         self._poses = Trajectory(stamps[keep:], poses[keep:])
+        self._stabiliser.forget(oldest)
         self._new_poses.clear()
 
     def _split_waiting(self) -> tuple[list[_Line], list[_Line]]:

@@ -69,6 +69,12 @@ class Stabiliser:
         else:
             self._smooth((until - self._smoother.start_ns) // KNOT_NS)
 
+    def forget(self, before_ns: int) -> None:
+        """Drop the attitudes before a time that nobody will ask for."""
+        self._done = [stretch for stretch in self._done if stretch.end_ns > before_ns]
+        if self._smoother is not None:
+            self._smoother.forget(before_ns)
+
     def finish(self) -> None:
         """Make everything final: no line will follow."""
         self._end_stretch(self._last_ns)

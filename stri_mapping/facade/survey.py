@@ -4,11 +4,14 @@
 What vertical scan lines tell of the vehicle's attitude: the road below and the walls beside.
 
 Each line gives at most one statement of the road and one of every long piece of wall, linear in
-the state x = (roll, pitch, heave, crossfall, lean) of `attitude`:
+the state x = (roll, pitch, heave, crossfall, slope, lean) of `attitude`:
 
 road    z + y roll - x pitch + heave - y crossfall = 0 for its points (x, y, z) in base_link,
-wall    dt/dv = (n_y roll - n_x pitch + lean) / (n . a) for its slope in the scan plane, with the
-        wall's horizontal normal n in base_link and the plane's horizontal direction a.
+wall    dt/dv = (n_y roll - n_x (pitch + slope) + lean) / (n . a) for its slope in the scan plane,
+        with the wall's horizontal normal n in base_link and the plane's horizontal direction a.
+
+Roll is that from upright, crossfall the road's below it; pitch is that from the road, and slope,
+positive downhill, the road's from level: a path in the plane has no place for hills.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ from stri_mapping.vehicle import Scanner
 
 Array = NDArray[np.float64]
 
-STATE = 5
+STATE = 6
+CROSSFALL, SLOPE, LEAN = 3, 4, 5
 # How uneven a road is at the scale of a scan line, with the range noise, metres.
 ROAD_SIGMA = 0.02
 # Road is looked for this near to base_link's z = 0, metres, no steeper than this in the vehicle.
@@ -50,7 +54,7 @@ ROAD_HEIGHT, ROAD_SLOPE = 0.3, 0.12
 ROAD_INCIDENCE = 2.15
 ROAD_RAYS, ROAD_LENGTH = 8, 0.6
 # A wall tells the upright from this length on, metres, if it leans less than this.
-WALL_LENGTH, WALL_LEAN = 1.2, 0.06
+WALL_LENGTH, WALL_LEAN = 1.2, 0.09
 # Steepest elevation of a wall's middle: the same pull bends walls that are met at more.
 WALL_ELEVATION = 1.2
 # Smallest standard deviation of a wall's slope, radians: plaster is not planed.
@@ -110,10 +114,10 @@ class Surveyor:
 
     def __init__(self, scanners: Sequence[Scanner]) -> None:
         """Take the scanners' planes."""
-        self._planes = np.array([_plane(s.T_base_laser) for s in scanners]).reshape(-1, 3, 3)
+        self._planes = np.array([scan_plane(s.T_base_laser) for s in scanners]).reshape(-1, 3, 3)
         self._feet = np.full((len(scanners), FEET, 2), np.inf)
         self._next = np.zeros(len(scanners), dtype=np.int64)
-        self._facades = np.full((len(scanners), 2), np.inf)
+        self._facades = np.full((len(scanners), 4), np.inf)
 
     def survey(self, rays: Rays) -> tuple[Evidence, NDArray[np.uint8]]:
         """Return what some lines tell, in their order, and the class (n,) of each point."""
@@ -127,7 +131,7 @@ class Surveyor:
                         scale[:k]), label
 
 
-def _plane(T_base_laser: Array) -> Array:
+def scan_plane(T_base_laser: Array) -> Array:
     """
     Return origin, horizontal and upward direction (3, 3) of a scan plane in base_link.
 
@@ -263,7 +267,8 @@ def _wall(  # type: ignore[no-untyped-def]
         return False
     away = n_x * plane[1, 0] + n_y * plane[1, 1]
     normal[:], vector[:], check[:] = 0.0, 0.0, 0.0
-    check[0], check[1], check[4] = n_y / away, -n_x / away, 1.0 / away
+    check[0], check[1], check[SLOPE] = n_y / away, -n_x / away, -n_x / away
+    check[LEAN] = 1.0 / away
     slope = run[DIR_T] / run[DIR_V]
     variance = WALL_SIGMA**2 + 12.0 * run[RMS] ** 2 / (run[COUNT] * run[LENGTH] ** 2)
     for a in range(STATE):

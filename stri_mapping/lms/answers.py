@@ -11,6 +11,7 @@ from typing import ClassVar
 from stri_mapping.errors import LmsError
 from stri_mapping.lms.configuration import Configuration
 from stri_mapping.lms.samples import (
+    FieldValues,
     MeanScan,
     MeanSubRange,
     MeasuredAnswer,
@@ -271,7 +272,7 @@ Answer = (ResetTaken | Refused | TypeAnswer | ModeAnswer | ErrorList | Hours | V
 DECODERS = {kind.code: kind.decode for kind in (
     ResetTaken, Refused, TypeAnswer, PowerOn, ModeAnswer, ErrorList, Hours, VariantAnswer,
     PowerOnSet, ConfigurationRead, ConfigurationWritten, Status, Scan, MeanScan, SubRange,
-    MeanSubRange, RemissionScan, PairScan)}
+    FieldValues, MeanSubRange, RemissionScan, PairScan)}
 
 
 def decode_answer(payload: bytes) -> Answer:

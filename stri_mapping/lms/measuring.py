@@ -14,8 +14,10 @@ from stri_mapping.lms.samples import CENTIMETRES, MILLIMETRES, Words
 
 Array = NDArray[np.float64]
 UNITS = {CENTIMETRES: 0.01, MILLIMETRES: 0.001}
-# Distances from 2^B - 9 up are no distances.  "Beyond maximum" says that nothing is in range;
-# the others say only that there is no reading (precedent: the sicktoolbox node of ROS 1).
+# Distances from 2^B - 9 up are no distances, the three without a name included.  By REP-117
+# "beyond maximum" is +inf: nothing in range.  The others, "no echo" among them, are NaN: black
+# or mirroring things give none either, so that nothing is known of what is there (the
+# precedent is the sicktoolbox node of ROS 1).
 CODES = {1: 'no echo', 2: 'dazzled', 3: 'arithmetic overflow', 5: 'signal too weak',
          6: 'read error', 9: 'beyond maximum'}
 BEYOND = 9

@@ -13,10 +13,12 @@ from stri_mapping.lms.requests import FIXED
 from stri_mapping.lms.samples import COUNT_BITS, Scan
 from stri_mapping.lms.telegram import ANSWER, HEADER, intact, MAX_PAYLOAD, OVERHEAD, STX, Telegram
 
-# Answers that no dataclass stands for: field values, contours, outputs.
-OTHER_ANSWERS = (0xBE, 0xC0, 0xC1, 0xC2, 0xC5, 0xC6, 0xCA, 0xE9, 0xF6, 0xFB, 0xFC)
-ANSWER_CODES = frozenset((*DECODERS, 0xBF, *OTHER_ANSWERS))
-REQUEST_CODES = frozenset((*FIXED, 0x20, 0x77, *(code - 0x80 for code in OTHER_ANSWERS), 0x3F))
+# Answers that no dataclass stands for: fields, outputs, contours, and cartesian values (0xF6),
+# whose form is not documented.
+OTHER_ANSWERS = (0xC0, 0xC1, 0xC2, 0xC5, 0xC6, 0xCA, 0xE9, 0xF6, 0xFB, 0xFC)
+ANSWER_CODES = frozenset((*DECODERS, *OTHER_ANSWERS))
+REQUEST_CODES = frozenset((*FIXED, 0x20, 0x77, 0x3E, 0x3F,
+                           *(code - 0x80 for code in OTHER_ANSWERS)))
 # Payload bytes of the longest answer that is not made of measured values: 255 fault entries.
 LONGEST_REPORT = 512
 MEASURED = frozenset((0xB0, 0xB6, 0xB7, 0xBE, 0xBF, 0xC4, 0xF5, 0xF6))

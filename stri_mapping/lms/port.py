@@ -97,6 +97,8 @@ def _explain(name: str, error: Exception) -> str:
         return 'in use by another program: end that, or choose another port'
     if not stat.S_ISCHR(path.stat().st_mode):
         return f'neither a serial port nor a capture; {_listing()}'
+    if 'Inappropriate ioctl' in str(error):     # pyserial hands the number on in words alone
+        return f'it has no line rate; is it a serial port? {_listing()}'
     return f'{_plain(error)}; is it a serial port? {_listing()}'
 
 

@@ -151,6 +151,44 @@ class SubRange:
 
 
 @dataclass(frozen=True)
+class FieldValues:
+    """
+    0xBE: the values `first` to `last` of a scan, at most 100, each with the fields it is held to.
+
+    Attributes
+    ----------
+    samples
+        Four words a value: the sample, and what fields A, B and C reach there.
+
+    """
+
+    code: ClassVar[int] = 0xBE
+
+    first: int
+    last: int
+    samples: Samples
+    indices: Indices | None = None
+    status: int = 0x10
+
+    @property
+    def table(self) -> Words:
+        """Sample word and fields A, B, C (n, 4)."""
+        return self.samples.words.reshape(-1, 4)
+
+    def encode(self) -> bytes:
+        """Return the payload."""
+        count = len(self.samples) // 4 | self.samples.unit << UNIT_SHIFT
+        return (struct.pack('<BHHH', self.code, self.first, self.last, count)
+                + self.samples.data + _tail(self.indices, self.status))
+
+    @classmethod
+    def decode(cls, payload: bytes) -> FieldValues:
+        """Return the answer of a payload; raises LmsError if its length does not fit."""
+        samples, rest = Samples.decode(payload[5:], word_size=8)
+        return cls(_word(payload, 1), _word(payload, 3), samples, *_read_tail(rest))
+
+
+@dataclass(frozen=True)
 class MeanSubRange:
     """0xBF: the mean of the values `first` to `last` over some scans."""
 
@@ -266,7 +304,8 @@ class PairScan:
         return cls(tuple(ranges), *_read_tail(rest))
 
 
-MeasuredAnswer = Scan | MeanScan | SubRange | MeanSubRange | RemissionScan | PairScan
+MeasuredAnswer = (Scan | MeanScan | SubRange | FieldValues | MeanSubRange | RemissionScan
+                  | PairScan)
 
 
 def _tail(indices: Indices | None, status: int) -> bytes:

@@ -17,6 +17,7 @@ from stri_mapping.lms.measuring import MeasuringMode
 from stri_mapping.lms.models import Model, Variant
 from stri_mapping.lms.requests import (
     ALL_VALUES,
+    AT_ONCE,
     EVERY_TURN,
     PAIRS,
     RATES,
@@ -88,8 +89,9 @@ class Stream:
 
     @property
     def by_turn(self) -> bool:
-        """Whether a telegram holds one of several turns of a whole scan (0x2A)."""
-        return self.kind == 'turns' and self.first is None and not self.variant.fast
+        """Whether a telegram is one mirror turn and says its raster (0x2A, or a part by 0x27)."""
+        return self.kind == 'turns' and not self.variant.fast and (
+            self.first is None or self.variant.turns > 1)
 
     @property
     def turns(self) -> int:
@@ -105,7 +107,9 @@ class Stream:
     def count(self) -> int:
         """Values of the longest telegram."""
         first, last = self.bounds
-        return 181 if self.by_turn else last - first + 1
+        if self.by_turn and self.first is None:
+            return 181
+        return -(-(last - first + 1) // (self.variant.turns if self.by_turn else 1))
 
     @property
     def request(self) -> SwitchMode:
@@ -115,10 +119,9 @@ class Stream:
             return SwitchMode(REMISSION, words(first, last))
         if self.kind == 'remission':
             return SwitchMode(PAIRS, words(1, first, last))
-        if self.by_turn:
-            return SwitchMode(EVERY_TURN)
-        return (SwitchMode(ALL_VALUES) if self.first is None
-                else SwitchMode(SUB_RANGE, words(first, last)))
+        if self.first is None:
+            return SwitchMode(EVERY_TURN if self.by_turn else ALL_VALUES)
+        return SwitchMode(SUB_RANGE, words(first | AT_ONCE * self.by_turn, last))
 
     def telegram_bytes(self, indices: bool) -> int:
         """Return the bytes of a telegram on the line."""
@@ -154,7 +157,7 @@ class Stream:
         """
         if isinstance(answer, Scan) and self.kind != 'remission' and self.first is None:
             return self._of_samples(answer.samples, answer.indices, mode)
-        if isinstance(answer, SubRange) and (answer.first, answer.last) == self.bounds:
+        if isinstance(answer, SubRange) and (answer.first & ~AT_ONCE, answer.last) == self.bounds:
             return self._of_samples(answer.samples, answer.indices, mode)
         if isinstance(answer, RemissionScan) and self.kind == 'remission':
             return self._of_remission(answer, mode)
@@ -168,15 +171,25 @@ class Stream:
         return (self.variant.first + skipped * self.variant.step, self.variant.step,
                 self.turns - skipped % self.turns)
 
+    def _turn_geometry(self, raster: int) -> tuple[tuple[float, float, int], int]:
+        """Return first angle, step, turns back, and the number of values of a single turn."""
+        if self.first is None:
+            return (0.25 * raster, 1.0, 1), 180 if raster else 181
+        first, last = self.bounds
+        turn = raster * 25 // self.variant.resolution
+        own = range(first - 1 + (turn + 1 - first) % self.variant.turns, last, self.variant.turns)
+        return (self.variant.first + own.start * self.variant.step, 1.0, 1), len(own)
+
     def _of_samples(
         self, samples: Samples, indices: Indices | None, mode: MeasuringMode,
     ) -> MeasuredScan | None:
         raster = samples.raster
-        if (raster is not None) != self.by_turn:
+        if (raster is not None) != self.by_turn or (raster or 0) * 25 % self.variant.resolution:
             return None
-        geometry = self._geometry() if raster is None else (0.25 * raster, 1.0, 1)
-        expected = self.count if raster in (None, 0) else self.count - 1
-        if len(samples) != expected or (raster or 0) * 25 % self.variant.resolution:
+        geometry, expected = self._geometry(), self.count
+        if raster is not None:
+            geometry, expected = self._turn_geometry(raster)
+        if len(samples) != expected:
             return None
         levels = mode.reflector_levels(samples.words)
         return MeasuredScan(mode.ranges(samples.words, samples.unit),
@@ -245,10 +258,10 @@ def make_stream(
         variant = model.variant(angle, resolution, of_turns=kind == 'turns')
     part = _sub_range(variant, first_degree, last_degree)
     stream = Stream(kind, variant, *part)  # type: ignore[arg-type]
-    if kind == 'turns' and stream.first is not None and variant.turns > 1:
-        raise LmsSettingError(
-            f'single turns at {variant.step:g} deg come whole only: want stream "scans" for a '
-            'part, or no angle_min and angle_max')
+    first, last = stream.bounds
+    if stream.by_turn and last - first + 1 < variant.turns:
+        raise LmsSettingError(f'{first_degree:g} to {last_degree:g} deg is too narrow for single '
+                              'turns: want 1 deg at least, or stream "scans"')
     return stream
 
 

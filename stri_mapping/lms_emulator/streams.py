@@ -13,6 +13,7 @@ import numpy as np
 from stri_mapping.lms import samples
 from stri_mapping.lms.requests import (
     ALL_VALUES,
+    AT_ONCE,
     EVERY_TURN,
     PAIRS,
     REMISSION,
@@ -82,9 +83,13 @@ def _every_turn(memory: Memory, source: TurnSource, arguments: tuple[int, ...]) 
 
 
 def _sub_range(memory: Memory, source: TurnSource, arguments: tuple[int, ...]) -> Stream | None:
-    if len(arguments) != 2 or not _inside(memory, *arguments):
+    if len(arguments) != 2:
         return None
-    first, end = arguments
+    first, end = arguments[0] & ~AT_ONCE, arguments[1]
+    if not _inside(memory, first, end):
+        return None
+    if arguments[0] & AT_ONCE:
+        return _part_of_turns(memory, source, first, end)
 
     def payload(last: int, telegram: int) -> bytes | None:
         turn = whole(source, memory.variant, last)
@@ -93,6 +98,19 @@ def _sub_range(memory: Memory, source: TurnSource, arguments: tuple[int, ...]) -
             _indices(memory, last, telegram)).encode()
 
     return Stream(memory.variant.turns, payload)
+
+
+def _part_of_turns(memory: Memory, source: TurnSource, first: int, end: int) -> Stream:
+    """Return the stream of those of the values `first` to `end` that each turn measures."""
+    def payload(last: int, telegram: int) -> bytes | None:
+        turns = memory.variant.turns
+        own = slice(-(-(first - 1 - last % turns) // turns), -(-(end - last % turns) // turns))
+        turn = source.turn(last, memory.variant.bearings(last))
+        return None if turn is None else samples.SubRange(
+            first, end, _samples(turn.ranges[own], memory, memory.variant.raster(last)),
+            _indices(memory, last, telegram)).encode()
+
+    return Stream(1, payload)
 
 
 def _pairs(memory: Memory, source: TurnSource, arguments: tuple[int, ...]) -> Stream | None:

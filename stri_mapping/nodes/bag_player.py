@@ -101,6 +101,7 @@ class BagPlayer:
         self._played = 0                         # messages of the bag that are done with
         self._looked = self._spoken = 0.0
         self._followed_ns: int | None = None     # stamp that the followed odometry has reached
+        self._newest_ns = 0                      # stamp of the newest scan played in this pass
         self._following = bool(settings.follow)
         if self._following:
             self.node.create_subscription(Odometry, settings.follow, self._follow,
@@ -125,7 +126,7 @@ class BagPlayer:
             log.info(f'playing {bag.path}: {bag.duration_ns * 1e-9:.1f} s')
             self._play(bag, output, position)
             while settings.loop and not self._stop.requested:
-                self._played, self._followed_ns = 0, None
+                self._played, self._followed_ns, self._newest_ns = 0, None, 0
                 self._play(bag, output, position)
         output.await_acknowledgements()
         log.info('played ' + ', '.join(f'{n} {topic}' for topic, n in sorted(output.sent.items())))
@@ -204,7 +205,10 @@ class BagPlayer:
             self._followed_ns = None
 
     def _follow(self, message: Odometry) -> None:
-        self._followed_ns = stamp_ns(message.header.stamp)
+        """Note how far the odometry is; what is ahead of the scans is of the pass before."""
+        stamp = stamp_ns(message.header.stamp)
+        if stamp <= self._newest_ns:
+            self._followed_ns = stamp
 
     def _stay_close(self, scan_ns: int) -> None:
         """Wait until the followed odometry is near a scan about to be played, not for ever."""
@@ -213,6 +217,7 @@ class BagPlayer:
             if self._followed_ns is None:
                 self._followed_ns = scan_ns
             if scan_ns - self._followed_ns <= LEAD_NS:
+                self._newest_ns = scan_ns
                 return
             if time.monotonic() > end:
                 self.node.get_logger().warning(

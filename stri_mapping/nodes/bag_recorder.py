@@ -20,6 +20,7 @@ from stri_mapping.nodes.parameters import declare, setting
 from stri_mapping.nodes.process import guarded, StopRequest, warn_of_unknown_parameters
 from stri_mapping.nodes.raw_input import RawInput
 from stri_mapping.recording.bag import DiskFullError, Recording
+from stri_mapping.recording.definitions import Definitions
 from stri_mapping.recording.repair import repair
 
 # Seconds between two takes of what has gathered, which are also what a crash can cost at most.
@@ -135,6 +136,11 @@ class BagRecorder:
         if not recording.count:
             return Report(WARN, 'nothing recorded yet', values)
         return Report(OK, 'recording', values)
+
+
+def prepare() -> None:
+    """Load the definitions of messages, so that a start is quick."""
+    Definitions()
 
 
 def main(args: list[str] | None = None) -> int:

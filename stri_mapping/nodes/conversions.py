@@ -7,6 +7,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 import math
+from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -23,11 +24,13 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image, LaserScan, PointCloud2, PointField
 
 from stri_mapping import geometry
-from stri_mapping.facade.points import FacadePoints
-from stri_mapping.lms.stamps import TimedScan
 from stri_mapping.scan import stamp_ns
-from stri_mapping.stri.estimate import Estimate
-from stri_mapping.vehicle import Vehicle
+
+if TYPE_CHECKING:               # each node needs but some of them, and a restart is to be quick
+    from stri_mapping.facade.points import FacadePoints
+    from stri_mapping.lms.stamps import TimedScan
+    from stri_mapping.stri.estimate import Estimate
+    from stri_mapping.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,12 @@ from stri_mapping.nodes import conversions
 from stri_mapping.nodes.diagnostics import Diagnostics, OK, Report, WARN
 from stri_mapping.nodes.parameters import declare, NodeSettings
 from stri_mapping.nodes.process import run_node
+from stri_mapping.nodes.qos import advertise, subscribe
+from stri_mapping.nodes.results_output import ResultsOutput
 from stri_mapping.nodes.scan_input import JUMP_NS, ScanInput
 from stri_mapping.nodes.transforms import mounts_from_tf
-from stri_mapping.results import scanner_facts, write_summary
 from stri_mapping.scan import Scan
+from stri_mapping.summary import scanner_facts
 
 # All poses there are, those from before this node connected included.
 TRAJECTORY_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL,
@@ -51,19 +53,23 @@ class FacadeAlignerNode:
         self._overview = Overview()
         self._writer = (FacadeWriter(self._folder, [s.name for s in scanners],
                                      append=self.settings.resume) if self._folder else None)
+        self._results = ResultsOutput(self.node, self._folder, self._writer)
+        if self._writer is not None and self.settings.resume:
+            self._aligner.counts = self._writer.kept_counts()
         self._yaw = 0.0                          # of the newest pose
         self._newest = 0                         # its stamp, ns
         self._mapped = 0                         # points in the map as last published
         # by scanner: scans of a time that was set back, which the path has yet to follow
         self._ahead: dict[int, list[Scan]] = {}
-        self._points = self.node.create_publisher(PointCloud2, 'facade/points', 100)
-        self._map = self.node.create_publisher(PointCloud2, 'facade/map', LATCHED)
+        self._points = advertise(self.node, PointCloud2, 'facade/points', 100)
+        self._map = advertise(self.node, PointCloud2, 'facade/map', LATCHED)
         self.node.create_timer(MAP_PERIOD, self._catch_up,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self.node, {'facades': self._report})
-        self.node.create_subscription(Path, 'trajectory', self._take_path, TRAJECTORY_QOS)
+        subscribe(self.node, Path, 'trajectory', self._take_path, TRAJECTORY_QOS)
         self._inputs = [ScanInput(self.node, scanner, partial(self._add_scan, ring),
-                                  partial(self._ahead.setdefault, ring, []))
+                                  partial(self._ahead.setdefault, ring, []),
+                                  self.settings.scan_log(scanner))
                         for ring, scanner in enumerate(scanners)]
 
     def _new_aligner(self) -> FacadeAligner:
@@ -91,7 +97,7 @@ class FacadeAlignerNode:
         """Begin another drive: time was set back.  The results stay those of the first."""
         self.node.get_logger().warning(
             'time was set back by more than a second: the facades begin anew'
-            + ('; the results folder keeps those before' if self._writer else ''))
+            + ('; the results folder keeps those before' if self._results.wanted else ''))
         self._complete()
         self._aligner, self._overview = self._new_aligner(), Overview()
         self._yaw, self._mapped = 0.0, 0
@@ -103,9 +109,9 @@ class FacadeAlignerNode:
 
     def _take(self) -> FacadePoints:
         """Return what became final, and write it where results are wanted."""
+        points, poses = self._aligner.take_points(), self._aligner.take_poses()
         if self._writer is not None:
-            return self._writer.take(self._aligner)
-        points, _ = self._aligner.take_points(), self._aligner.take_poses()
+            self._results.write(partial(self._writer.write, points, *poses, self._aligner.counts))
         return points
 
     def _publish(self, points: FacadePoints) -> None:
@@ -126,11 +132,15 @@ class FacadeAlignerNode:
             self._overview.points(), self._newest, self.settings.odom_frame))
 
     def _report(self) -> Report:
+        return self._results.report(self._state())
+
+    def _state(self) -> Report:
         counts = self._aligner.counts
         values = {'Scans': counts.scans, 'Points': counts.points,
                   'Rays without a pose': counts.outside,
                   'Roll stabilised (%)': round(100.0 * counts.roll_told / max(counts.points, 1)),
                   'Pitch stabilised (%)': round(100.0 * counts.pitch_told / max(counts.points, 1)),
+                  'Yaw corrected (%)': round(100.0 * counts.yaw_told / max(counts.points, 1)),
                   'Malformed scans': sum(i.counts.malformed for i in self._inputs),
                   'Scans out of order': sum(i.counts.backwards for i in self._inputs)}
         if counts.scans == 0:
@@ -140,17 +150,17 @@ class FacadeAlignerNode:
         return Report(OK, 'mapping', values)
 
     def finish(self) -> None:
-        """Place what can be placed; publish and write it."""
+        """Place what can be placed; publish and write it; raises ResultsError if it cannot."""
         self._complete()
+        self._results.check()
 
     def _complete(self) -> None:
         self._aligner.finish()
         self._publish(self._take())
         self._publish_map()
-        if self._writer is not None and self._folder is not None:
-            self._writer.close()
-            write_summary(self._folder, self._facts())
-        self._writer = None
+        self._results.close(self._facts)
+        for each in self._inputs:
+            each.close()
 
     def _facts(self) -> dict[str, Any]:
         return {**facade_facts(self._aligner),

@@ -15,7 +15,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from stri_mapping.errors import UsageError
-from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Vehicle
+from stri_mapping.scan_log import NAME as SCAN_LOG_NAME
+from stri_mapping.scan_log import ScanLog
+from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Scanner, Vehicle
 
 Config = TypeVar('Config')
 
@@ -82,6 +84,12 @@ class NodeSettings:
         except OSError as error:
             raise UsageError(f'parameter output: {folder}: {error.strerror}') from None
         return folder
+
+    def scan_log(self, scanner: Scanner) -> ScanLog:
+        """Return what keeps count of a scanner's scans, beside the results where there are any."""
+        folder = self.results_folder()
+        path = folder / SCAN_LOG_NAME.format(scanner.name) if folder else None
+        return ScanLog(path, self.resume)
 
 
 def declare(node: Node, config: type[Config], prefix: str = '') -> Config:

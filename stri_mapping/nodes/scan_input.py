@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
+from stri_mapping.nodes.qos import subscribe
 from stri_mapping.scan import Scan, ScanCounts, ScanIntake, stamp_ns
+from stri_mapping.scan_log import ScanLog
 from stri_mapping.vehicle import Scanner
 
 # Keeping all, a reader that falls behind holds its publisher back instead of losing scans.
@@ -39,37 +40,46 @@ class ScanInput:
     on_jump
         Called when the stamps have gone back by more than a second, before the first scan of
         the new time is handed on.
+    log
+        Keeps what came; by default in memory alone.
 
     Attributes
     ----------
     scanner
         As given.
-    stamps
-        Of the scans handed on since the last such jump, nanoseconds.
 
     """
 
     def __init__(self, node: Node, scanner: Scanner, callback: Callable[[Scan], None],
-                 on_jump: Callable[[], object] = lambda: None) -> None:
+                 on_jump: Callable[[], object] = lambda: None, log: ScanLog | None = None,
+                 ) -> None:
         """Subscribe."""
         self._node, self._topic, self._callback = node, scanner.topic, callback
         self.scanner = scanner
         self._on_jump = on_jump
         self._awaits_jump = False
         self._newest = 0
-        self._begin()
-        self._subscription = node.create_subscription(
-            LaserScan, scanner.topic, self._take, LOSSLESS,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._accept_best_effort))
+        self._begin(log or ScanLog())
+        self._subscription = subscribe(
+            node, LaserScan, scanner.topic, self._take, LOSSLESS,
+            SubscriptionEventCallbacks(incompatible_qos=self._accept_best_effort))
 
     @property
     def counts(self) -> ScanCounts:
-        """Scans taken and left out so far."""
-        return self._intake.counts
+        """Scans taken and left out since the last such jump."""
+        return self._log.counts
 
-    def _begin(self) -> None:
-        self._intake = ScanIntake(self._topic)
-        self.stamps = array('q')
+    @property
+    def stamps(self) -> Sequence[int]:
+        """Stamps of the scans handed on since then, nanoseconds."""
+        return self._log.stamps
+
+    def _begin(self, log: ScanLog) -> None:
+        self._log, self._intake = log, ScanIntake(self._topic, log.counts)
+
+    def close(self) -> None:
+        """Keep nothing on disk any more."""
+        self._log.close()
 
     def forget(self) -> None:
         """Hand on nothing more of the time before a jump that others have seen already."""
@@ -81,13 +91,13 @@ class ScanInput:
             if not self._awaits_jump:
                 self._on_jump()
             self._awaits_jump = False
-            self._begin()
+            self._begin(ScanLog())
         elif self._awaits_jump:
             return
         self._newest = stamp
         scan = self._intake.take(message)
+        self._log.note(None if scan is None else scan.stamp_ns)
         if scan is not None:
-            self.stamps.append(scan.stamp_ns)
             self._callback(scan)
 
     def _accept_best_effort(self, event: QoSRequestedIncompatibleQoSInfo) -> None:

@@ -24,6 +24,7 @@ from stri_mapping.nodes.conversions import scan_message
 from stri_mapping.nodes.diagnostics import Diagnostics, ERROR, OK, Report, WARN
 from stri_mapping.nodes.parameters import declare
 from stri_mapping.nodes.process import guarded, StopRequest, warn_of_unknown_parameters
+from stri_mapping.nodes.qos import advertise
 
 # Seconds between attempts to configure where the node starts itself.
 RETRY = 0.2
@@ -55,7 +56,6 @@ class SickLmsDriver(LifecycleNode):
         """Declare the parameters; the port is opened by configuring."""
         super().__init__('sick_lms_driver')
         self.settings = declare(self, DriverSettings)
-        warn_of_unknown_parameters(self)
         self.finished = False                   # the reader has ended by itself
         self.error: Exception | None = None     # with which the process is to end
         self._halt = threading.Event()
@@ -63,7 +63,8 @@ class SickLmsDriver(LifecycleNode):
         self._reader: threading.Thread | None = None
         self._fault: str | None = None          # why configuring or activating failed
         self._reported = (time.monotonic(), 0)
-        self._publisher = self.create_lifecycle_publisher(LaserScan, 'scan', 10)
+        self._publisher = advertise(self, LaserScan, 'scan', 10, self.create_lifecycle_publisher)
+        warn_of_unknown_parameters(self)
         self._diagnostics = Diagnostics(self, {'scanner': self._report})
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

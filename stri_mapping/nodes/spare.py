@@ -4,14 +4,15 @@
 A node that is ready to take another's place: imported and compiled, but not yet started.
 
 Starting Python, importing and loading compiled code take seconds that a moving vehicle has not.
-The supervisor keeps such a process for each node whose start is slow, and lets it run when the
-node has died.  Called with the node's module and its arguments; runs when told a line on its
-standard input, and ends when that is closed.
+The supervisor keeps such a process for each kind of node (`stri_mapping.spares`), and lets it run
+when one of them has died.  Called with the node's module; runs when told the node's arguments, a
+line of JSON on its standard input, and ends when that is closed.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+import json
 import os
 import sys
 
@@ -22,15 +23,17 @@ def main() -> int:
     module = import_module(name)
     if hasattr(module, 'prepare'):
         module.prepare()
-    if not sys.stdin.readline():
+    line = sys.stdin.readline()
+    if not line:
         return 0
+    sys.argv = [name, *json.loads(line)]
     os.environ['SPT_NOENV'] = '1'        # its environment stays where others can read it
     try:
         from setproctitle import setproctitle
     except ImportError:
         pass
     else:                               # in the list of processes it is now what it stands for
-        setproctitle(' '.join([sys.executable, '-m', name, *sys.argv[2:]]))
+        setproctitle(' '.join([sys.executable, '-m', *sys.argv]))
     return int(module.main())
 
 

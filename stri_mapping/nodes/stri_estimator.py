@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 import sys
 from time import perf_counter
 from typing import Any
@@ -20,17 +20,22 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
 
+from stri_mapping.disk import keeping
+from stri_mapping.motion_file import MotionWriter
 from stri_mapping.nodes import conversions
 from stri_mapping.nodes.diagnostics import Diagnostics, OK, Report, WARN
 from stri_mapping.nodes.parameters import declare, NodeSettings
 from stri_mapping.nodes.process import run_node
+from stri_mapping.nodes.qos import advertise
+from stri_mapping.nodes.results_output import ResultsOutput
 from stri_mapping.nodes.scan_input import ScanInput
 from stri_mapping.nodes.transforms import mounts_from_tf, TransformOutput
-from stri_mapping.results import MotionWriter, RANGE_IMAGE_NAME, scanner_facts, write_summary
+from stri_mapping.results import RANGE_IMAGE_NAME
 from stri_mapping.resume import interruption, placed
 from stri_mapping.scan import Scan
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
+from stri_mapping.summary import scanner_facts
 
 # Latched and deep: an aligner that starts or connects late still gets every pose.
 TRAJECTORY_QOS = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -86,26 +91,26 @@ class StriEstimatorNode:
                         if self._folder and self.settings.resume else None)
         self._writer = (MotionWriter(self._folder, append=self._before is not None)
                         if self._folder else None)
+        self._results = ResultsOutput(self.node, self._folder, self._writer)
         self._T_odom_start: Array | None = None  # where a path that was interrupted goes on
         self._final: list[Estimate] = []         # final, not yet published
         self._newest: Estimate | None = None
         self._distance, self._seconds_busy = 0.0, 0.0
         self._latencies: deque[float] = deque(maxlen=LATENCIES)
         self._advertise()
-        self._input = ScanInput(self.node, self._vehicle.horizontal, self._take, self._begin_anew)
-        if self._before is not None:
-            self._input.stamps.extend(self._before.stamps_ns.tolist())
+        self._input = ScanInput(self.node, self._vehicle.horizontal, self._take,
+                                self._begin_anew, self.settings.scan_log(self._vehicle.horizontal))
+        self._resumed_at = len(self._input.stamps)      # scans that came before a crash
 
     def _new_estimator(self) -> StriEstimator:
         return StriEstimator(self._vehicle.horizontal.T_base_laser, self.settings.estimator)
 
     def _advertise(self) -> None:
-        create = self.node.create_publisher
-        self._odometry = create(Odometry, 'odom', 100)
-        self._velocity = create(TwistWithCovarianceStamped, 'velocity', 100)
-        self._path = create(Path, 'trajectory', TRAJECTORY_QOS)
-        self._image = create(Image, 'stri/image', 2)
-        self._segments = create(Image, 'stri/segments', 2)
+        self._odometry = advertise(self.node, Odometry, 'odom', 100)
+        self._velocity = advertise(self.node, TwistWithCovarianceStamped, 'velocity', 100)
+        self._path = advertise(self.node, Path, 'trajectory', TRAJECTORY_QOS)
+        self._image = advertise(self.node, Image, 'stri/image', 2)
+        self._segments = advertise(self.node, Image, 'stri/segments', 2)
         self.node.create_timer(PICTURE_PERIOD, self._publish_pictures,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self.node, {'motion': self._report})
@@ -126,8 +131,7 @@ class StriEstimatorNode:
         if self._before is None:
             return estimate
         if self._T_odom_start is None:
-            self._T_odom_start = self._before.pose_at(self._input.stamps[len(
-                self._before.stamps_ns)])
+            self._T_odom_start = self._before.pose_at(self._input.stamps[self._resumed_at])
         return placed(estimate, self._T_odom_start)
 
     def _note_latency(self, scan: Scan) -> None:
@@ -150,13 +154,13 @@ class StriEstimatorNode:
             return
         self._path.publish(conversions.path_message(final, self.settings.odom_frame))
         if self._writer is not None:
-            self._writer.write(final)
+            self._results.write(partial(self._writer.write, final))
 
     def _begin_anew(self) -> None:
         """Begin another drive: time was set back.  The results stay those of the first."""
         self.node.get_logger().warning(
             'time was set back by more than a second: a new path begins'
-            + ('; the results folder keeps the one before' if self._writer else ''))
+            + ('; the results folder keeps the one before' if self._results.wanted else ''))
         self._complete()
         self._estimator = self._new_estimator()
         self._before = self._newest = self._T_odom_start = None
@@ -174,6 +178,9 @@ class StriEstimatorNode:
                     picture(), self._newest.stamp_ns, self._vehicle.horizontal.frame))
 
     def _report(self) -> Report:
+        return self._results.report(self._state())
+
+    def _state(self) -> Report:
         counts, newest = self._input.counts, self._newest
         values = {'Scans': counts.read, 'Malformed scans': counts.malformed,
                   'Scans out of order': counts.backwards,
@@ -192,22 +199,27 @@ class StriEstimatorNode:
         return Report(OK, 'tracking', values)
 
     def finish(self) -> None:
-        """Make the last poses final; publish and write them."""
+        """Make the last poses final; publish and write them; raises ResultsError if it cannot."""
         self._complete()
+        self._results.check()
 
     def _complete(self) -> None:
         self._estimator.finish()
         self._final += map(self._placed, self._estimator.take_refined())
         self._publish_final()
-        if self._writer is not None and self._folder is not None:
-            self._writer.close()
-            self._estimator.range_image_log.save(self._folder / RANGE_IMAGE_NAME)
-            write_summary(self._folder, self._facts(self._writer))
-        self._writer = None
+        self._results.write(self._save_image)
+        self._results.close(self._facts)
+        self._input.close()
 
-    def _facts(self, writer: MotionWriter) -> dict[str, Any]:
+    def _save_image(self) -> None:
+        assert self._folder is not None
+        with keeping(self._folder):
+            self._estimator.range_image_log.save(self._folder / RANGE_IMAGE_NAME)
+
+    def _facts(self) -> dict[str, Any]:
+        assert self._writer is not None
         scans = self._input.stamps
-        return {'scans': len(scans), **writer.facts(),
+        return {'scans': len(scans), **self._writer.facts(),
                 'ms_per_scan': round(1e3 * self._seconds_busy / max(len(scans), 1), 3),
                 'scanners': [scanner_facts(self._vehicle, self._vehicle.horizontal, scans,
                                            self._input.counts)]}

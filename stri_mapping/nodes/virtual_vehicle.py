@@ -76,6 +76,8 @@ class VirtualVehicleSettings:
         Line rate in baud at which the scanners are found.
     faults
         Path of a plan of faults, YAML or JSON; empty for none.
+    readers
+        Subscribers that each scanner's topic is to have before the drive.
     resume
         Whether to begin where an earlier vehicle with the same ports came to.
 
@@ -95,6 +97,7 @@ class VirtualVehicleSettings:
     linger: float = setting(1.0, 0.0, 1e6)
     rate: int = 9600
     faults: str = ''
+    readers: int = setting(0, 0, 100)
     resume: bool = False
 
     def trip(self) -> Trip:
@@ -118,7 +121,8 @@ class VirtualVehicle:
     def __init__(self, stop: StopRequest) -> None:
         """Declare the parameters; the vehicle appears in `run`."""
         self.node = Node('virtual_vehicle')
-        self.pilot = Pilot(declare(self.node, VirtualVehicleSettings).trip())
+        settings = declare(self.node, VirtualVehicleSettings)
+        self.pilot, self._readers = Pilot(settings.trip()), settings.readers
         warn_of_unknown_parameters(self.node)
         self._stop = stop
         self._told = 0                          # poses of the truth published
@@ -128,7 +132,7 @@ class VirtualVehicle:
     def run(self) -> None:
         """Drive to the end, or until asked to stop."""
         with ThreadPoolExecutor(1) as pool:
-            drive = pool.submit(self.pilot.run, lambda: self._stop.requested)
+            drive = pool.submit(self.pilot.run, lambda: self._stop.requested, self._heard)
             while not drive.done():
                 rclpy.spin_once(self.node, timeout_sec=LOOK)
                 self._publish_truth()
@@ -137,6 +141,11 @@ class VirtualVehicle:
         log, pilot = self.node.get_logger(), self.pilot
         log.info(f'{sum(pilot.state.scans)} scans sent, {pilot.starved} left out; bytes were '
                  f'late by {pilot.state.lateness}')
+
+    def _heard(self) -> bool:
+        """Return whether every scanner's topic has its readers."""
+        return all(self.node.count_subscribers(scanner.topic) >= self._readers
+                   for scanner in self.pilot.trip.vehicle.scanners)
 
     def _publish_truth(self) -> None:
         """Publish the poses since last time, whose stamps are multiples of the truth's step."""

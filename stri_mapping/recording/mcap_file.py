@@ -57,15 +57,24 @@ class Topic:
     encoding: str = 'ros2msg'
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _ClosedChunk:
-    """What must be remembered of a chunk that is in the file: its place, index and counts."""
+    """
+    What must be remembered of a chunk that is in the file: its place, index and counts.
+
+    There are ten a second, for hours: the counts are packed.
+    """
 
     offset: int
     index: bytes
-    counts: Counter[int]
+    packed_counts: bytes
     start_ns: int
     end_ns: int
+
+    @property
+    def counts(self) -> Counter[int]:
+        """Messages by the number of their channel."""
+        return Counter(dict(struct.iter_unpack('<HI', self.packed_counts)))
 
 
 class McapFile:
@@ -179,7 +188,8 @@ class McapFile:
         except OSError:
             self._forget(counts)
             raise
-        self._closed.append(_ClosedChunk(offset, index, counts, chunk.start_ns, chunk.end_ns))
+        packed = b''.join(struct.pack('<HI', *each) for each in counts.items())
+        self._closed.append(_ClosedChunk(offset, index, packed, chunk.start_ns, chunk.end_ns))
 
     def _forget(self, counts: Counter[int]) -> None:
         """Take back the counts of a chunk that is not in the file."""

@@ -17,14 +17,9 @@ from stri_mapping import geometry
 from stri_mapping.errors import StriMappingError
 from stri_mapping.facade.cloud_files import count_points, PLY_NAME, read_ply
 from stri_mapping.facade.placing import at_constant_speed
-from stri_mapping.results import (
-    EVALUATION_NAME,
-    RANGE_IMAGE_NAME,
-    read_summary,
-    read_velocity,
-    TRAJECTORY_NAME,
-    VELOCITY_NAME,
-)
+from stri_mapping.motion_file import read_velocity
+from stri_mapping.results import EVALUATION_NAME, RANGE_IMAGE_NAME, TRAJECTORY_NAME, VELOCITY_NAME
+from stri_mapping.summary import read_summary
 from stri_mapping.trajectory import read_tum, Trajectory
 
 Array = NDArray[np.float64]

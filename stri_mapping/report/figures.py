@@ -121,7 +121,8 @@ def _draw_band(axes: Axes, t: Array, value: Array, sigma: Array) -> None:
                       alpha=0.7, linewidth=0.0, label='two standard deviations')
     axes.plot(t, value, color=BLUE, linewidth=1.2, label='estimate')
     # where nothing is known the band may be boundless: keep the curve readable
-    low, high = np.percentile(np.concatenate([value - 2 * sigma, value + 2 * sigma]), [2, 98])
+    band = np.concatenate([value - 2 * sigma, value + 2 * sigma, value])
+    low, high = np.percentile(band[np.isfinite(band)], [2, 98])
     low, high = min(low, value.min()), max(high, value.max())
     margin = 0.08 * max(high - low, 0.05)
     axes.set_ylim(low - margin, high + margin)

@@ -131,9 +131,16 @@ class Pilot:
         before = self._starved_before
         return 0 if before is None else sum(self.state.starved) - before
 
-    def run(self, stopped: Callable[[], bool]) -> None:
+    def run(self, stopped: Callable[[], bool], ready: Callable[[], bool] = lambda: True) -> None:
         """
         Drive from the first moment to the end, or until stopped.
+
+        Parameters
+        ----------
+        stopped
+            Whether to end.
+        ready
+            Whether the drive may begin, once all scanners stream.
 
         Raises
         ------
@@ -155,20 +162,26 @@ class Pilot:
                 scanner.turns(0, 1)
             live = LiveDrive(drive, min(first, drive.scene.duration))
             self.live = live
-            self._drive(live, emulator, stopped)
+            self._drive(live, emulator, stopped, ready)
             self.state = emulator.end(at_rest=not stopped())
 
-    def _drive(self, live: LiveDrive, emulator: EmulatorProcess,
-               stopped: Callable[[], bool]) -> None:
-        trip, ready = self.trip, self.now
+    def _drive(self, live: LiveDrive, emulator: EmulatorProcess, stopped: Callable[[], bool],
+               ready: Callable[[], bool]) -> None:
+        trip, began = self.trip, self.now
         before_others(CASTING)          # a vehicle does not wait for the software it carries
         self.phase = 'standing still until all scanners stream'
         while trip.wait and not stopped() and (self.missing or not self.state.wants):
             self._step(live, emulator)
-            if 0.0 < trip.patience < self.now - ready:
+            if 0.0 < trip.patience < self.now - began:
                 raise StriMappingError(
                     f'no driver has made {self.missing[0]} stream from '
                     f'{trip.ports / self.missing[0]} within {trip.patience:.0f} s')
+        self.phase = 'standing still until all scans are read'
+        while not stopped() and not ready():
+            self._step(live, emulator)
+            if 0.0 < trip.patience < self.now - began:
+                raise StriMappingError(
+                    f'not every scanner has its readers within {trip.patience:.0f} s')
         live.go(self.now + trip.settle)
         self.phase = 'standing still before the drive'
         while not stopped() and self.now < live.timeline.begin:

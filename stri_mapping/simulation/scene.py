@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stri_mapping.simulation.mesh import Mesh
 from stri_mapping.simulation.motion import Motion
 from stri_mapping.simulation.ray_cast import RayCaster
+from stri_mapping.simulation.slope import levelled
 from stri_mapping.simulation.traffic import Mover
 
 Array = NDArray[np.float64]
@@ -46,6 +47,9 @@ class Scene:
         (3,) unit vector in odom towards the sun; None for an overcast sky.
     facts
         What is true of the scene, for people and tests; plain JSON values.
+    grade
+        (2,) rise of the ground per metre along x and y, which `mesh` and `motion` have; movers
+        have it from here.
 
     """
 
@@ -56,6 +60,7 @@ class Scene:
     movers: tuple[Mover, ...] = ()
     sun: Array | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+    grade: Array = field(default_factory=lambda: np.zeros(2))
 
     @cached_property
     def still(self) -> RayCaster:
@@ -84,10 +89,14 @@ class Scene:
 
         """
         distance, energy = _light(self.still, origins, directions)
+        stretch = np.ones(len(origins))
+        if self.movers and self.grade.any():
+            origins, directions, stretch = levelled(origins, directions, self.grade)
+        distance *= stretch
         for mover in self.movers:
             if mover.begin <= times[-1] and times[0] <= mover.end:
                 _look_at(mover, times, origins, directions, distance, energy)
-        return distance, energy
+        return distance / stretch, energy
 
     def dazzled(self, directions: Array, ranges: Array) -> Mask:
         """Return which beams (n,) look into the sun: those towards it that meet nothing."""

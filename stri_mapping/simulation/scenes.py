@@ -19,6 +19,7 @@ from stri_mapping.simulation.motion import KNOT, Path
 from stri_mapping.simulation.ride import drive
 from stri_mapping.simulation.scene import Scene
 from stri_mapping.simulation.site import Site
+from stri_mapping.simulation.slope import sloped_mesh, sloped_motion
 from stri_mapping.simulation.street import street
 from stri_mapping.simulation.traffic import ordinary, Traffic
 
@@ -41,6 +42,9 @@ class Options:
         Scale of roll, pitch and heave: 1 for an ordinary car, 0 for none.
     traffic
         How much moves in the street: 1 for an ordinary one, 0 for nothing.
+    slope, crossfall
+        Percent by which the ground rises along odom's x, the way most scenes begin, and along y,
+        to the left of it.
 
     """
 
@@ -48,11 +52,13 @@ class Options:
     duration: float | None = None
     vibration: float = 1.0
     traffic: float = 1.0
+    slope: float = 0.0
+    crossfall: float = 0.0
 
     def check(self) -> None:
         """Raise UsageError naming the option that is out of range."""
         limits = {'seed': (0, 2**32 - 1), 'duration': (0.5, 36000.0), 'vibration': (0.0, 10.0),
-                  'traffic': (0.0, 10.0)}
+                  'traffic': (0.0, 10.0), 'slope': (-20.0, 20.0), 'crossfall': (-20.0, 20.0)}
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -130,7 +136,11 @@ class Draft:
         sun = None if traffic is None else self.sun()
         if sun is not None:
             facts['sun'] = sun.round(4).tolist()
-        return Scene(self.name, self.site.builder.mesh(), moving, duration, movers, sun, facts)
+        mesh, grade = self.site.builder.mesh(), 0.01 * np.array([self.options.slope,
+                                                                self.options.crossfall])
+        if grade.any():
+            mesh, moving = sloped_mesh(mesh, grade), sloped_motion(moving, grade)
+        return Scene(self.name, mesh, moving, duration, movers, sun, facts, grade)
 
 
 def _campus(name: str, options: Options) -> Scene:
