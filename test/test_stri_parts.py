@@ -8,7 +8,7 @@ import pytest
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs
-from stri_mapping.stri.proposal import cost_of, propose
+from stri_mapping.stri.proposal import SlopeSearch
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
@@ -155,21 +155,23 @@ def test_a_bare_wall_tells_nothing_along_itself():
 @pytest.mark.parametrize(('speed', 'turn'), [(8.0, 0.0), (-3.0, 0.0), (0.0, 0.0), (5.0, 0.35)])
 def test_the_range_image_tells_speed_and_turn_rate(speed, turn):
     rng = np.random.default_rng(6)
-    profiles = []
+    search = SlopeSearch(LEFT)
     for k in range(46):
         t = 0.01332 * k
         base = geometry.exp(t * np.array([speed, 0.0, turn]))
         scan = scan_at(t, base, WALL + COLUMNS, noise=0.01, rng=rng)
-        profiles.append((t, ANGLES, scan.ranges))
-    twist, cost = propose(profiles, LEFT)
+        search.add((t, ANGLES, scan.ranges))
+    twist, cost = search.best()
     assert twist[0] == pytest.approx(speed, abs=0.25)
     assert twist[2] == pytest.approx(turn, abs=0.06)
-    assert cost < 0.7 * cost_of(profiles, LEFT, twist + [2.0, 0.0, 0.0])
+    assert cost < 0.7 * search.cost_of(twist + [2.0, 0.0, 0.0])
 
 
 def test_without_anything_to_see_the_proposal_is_to_stand():
-    profiles = [(0.01 * k, ANGLES, np.full(181, np.nan)) for k in range(50)]
-    twist, _ = propose(profiles, LEFT)
+    search = SlopeSearch(LEFT)
+    for k in range(50):
+        search.add((0.01 * k, ANGLES, np.full(181, np.nan)))
+    twist, _ = search.best()
     np.testing.assert_allclose(twist, 0.0, atol=1e-9)
 
 
@@ -235,7 +237,7 @@ def test_known_surfaces_that_fall_silent_raise_doubt():
 def test_what_came_to_a_place_seen_through_counts_and_what_hides_does_not():
     wall = np.column_stack([np.linspace(-10.0, 10.0, 400), np.full(400, 8.0)])
     sight, votes = np.empty(keyframe.SIGHTS), np.zeros(4)
-    keyframe.look(wall, sight)
+    keyframe.look(wall, np.arctan2(wall[:, 1], wall[:, 0]), sight)
     knots, home = np.zeros((8, 3)), np.zeros(3)
     # nearer than the wall seen before; on it; hidden behind it; where nothing was seen at all
     for label, (r, bearing) in enumerate([(4.0, 90.0), (8.0, 90.0), (12.0, 90.0), (4.0, -90.0)]):

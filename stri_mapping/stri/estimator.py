@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe
-from stri_mapping.stri.estimate import Estimate
+from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointConfig, JointPath
-from stri_mapping.stri.proposal import cost_of, Profile, propose
+from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Labels, Segmenter
 from stri_mapping.stri.trust import LABELS, MOVES
@@ -88,9 +88,13 @@ class StriEstimator:
         self._handed = 1.0 if T_base_laser[2, 2] > 0.0 else -1.0    # -1: mounted upside down
         self._segmenter = Segmenter()
         self._starting: list[tuple[Scan, Labels]] = []
+        self._search = SlopeSearch(self._mount)  # of the motion at the start
         self._pending: deque[int] = deque()      # stamps of scans whose final pose is to come
         self._refined: list[Estimate] = []       # final, not yet taken
         self._path: JointPath | None = None
+        self._advanced = False                   # whether the scan before extended the path
+        self._looks = False                      # whether a look for the motion is due
+        self._found: Array | None = None         # another motion, to be taken up
         self._profiles: deque[Profile] = deque(maxlen=PROFILES)
         self._origin_ns = 0
         self._T_odom_first = np.zeros(3)         # odom from the path's own frame
@@ -121,6 +125,7 @@ class StriEstimator:
         self._pending.append(scan.stamp_ns)
         if self._path is None:
             self._starting.append((scan, labels))
+            self._search.add(self._profile(scan))
             if not self._ready():
                 return None
             self._start()
@@ -162,7 +167,7 @@ class StriEstimator:
     def _start(self) -> None:
         """Read the first speed from the slope of the range image, then fit the scans kept."""
         scans = [scan for scan, _ in self._starting]
-        twist, _ = propose([self._profile(scan) for scan in scans], self._mount)
+        twist, _ = self._search.best()
         self._origin_ns = scans[0].stamp_ns
         step = float(abs(scans[0].angles[1] - scans[0].angles[0]))
         self._path = path = JointPath(
@@ -190,7 +195,7 @@ class StriEstimator:
         return np.asarray(_rotation(-self._mount[2]) @ lever)
 
     def _profile(self, scan: Scan, moves: Mask | None = None) -> Profile:
-        """Return a scan as `propose` takes it, without the rays on what is known to move."""
+        """Return a scan as `SlopeSearch` takes it, without the rays on what is known to move."""
         ranges = np.where(scan.valid, scan.ranges, np.nan)
         if moves is not None:
             ranges[moves] = np.nan
@@ -210,36 +215,54 @@ class StriEstimator:
     def _take(self, scan: Scan, labels: Labels) -> None:
         assert self._path is not None
         rays, start, end = self._prepare(scan, labels)
-        advanced = False
+        advances = end > (self._path.step + 1) * self._path.h
         while end > (self._path.step + 1) * self._path.h:
             self._path.advance()
-            advanced = True
-        if advanced:
+            self._looks |= self._path.step % TAKE_UP_EVERY == 0
+        if not advances or self._advanced:      # a slow scanner advances with every scan
             self._take_up()
+        self._advanced = advances
         self._path.add(start, end, rays)
         moves = (labels >= 0) & (self._path.trust.weight[labels % LABELS] < MOVES)
         self._profiles.append(self._profile(scan, moves))
         self._release(self._path.final_until)
 
     def _take_up(self) -> None:
-        """When the motion is not known, look whether the newest scans tell another one."""
+        """
+        When the motion is not known, look whether the newest scans tell another one.
+
+        The search, and the fit of what it has found, go with different scans, so that none has
+        to wait for both.
+        """
+        assert self._path is not None
+        if self._found is not None:
+            self._path.restart(self._of_scanner(self._found))
+            self._found = None
+        elif self._looks:
+            self._looks = False
+            self._found = self._another_motion()
+
+    def _another_motion(self) -> Array | None:
+        """Return the twist that the newest scans tell better than that of the path, if any."""
         assert self._path is not None
         sigma = self._path.sigma
         doubted = self._path.trust.agreement < DOUBT
-        if (sigma < self.config.lost_sigma and not doubted) or self._path.step % TAKE_UP_EVERY:
-            return
+        if sigma < self.config.lost_sigma and not doubted:
+            return None
+        if np.mean([np.isfinite(r).mean() for _, _, r in self._profiles]) < SEEN:
+            return None
         now = self._estimate(self._pending[-1]).twist
         reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
-        profiles = list(self._profiles)
-        if np.mean([np.isfinite(r).mean() for _, _, r in profiles]) < SEEN:
-            return
-        twist, cost = propose(
-            profiles, self._mount, now[0] + np.linspace(-reach, reach, 31), now[2:] + TURNS)
+        search = SlopeSearch(
+            self._mount, now[0] + np.linspace(-reach, reach, 31), now[2] + TURNS)
+        for profile in self._profiles:
+            search.add(profile)
+        twist, cost = search.best()
         others = [now, *(twist + [d, 0.0, 0.0] for d in (-APART, APART))]
-        least = min(cost_of(profiles, self._mount, other) for other in others)
+        least = min(search.cost_of(other) for other in others)
         inside = abs(twist[0] - now[0]) < 0.9 * reach
-        if inside and cost < DECISIVE * least and cost < least - MARGIN:
-            self._path.restart(self._of_scanner(twist))
+        better = inside and cost < DECISIVE * least and cost < least - MARGIN
+        return twist if better else None
 
     def _release(self, until: float) -> None:
         while self._pending and self._seconds(self._pending[0]) < until:
@@ -248,25 +271,16 @@ class StriEstimator:
     def _estimate(self, stamp_ns: int) -> Estimate:
         """Return pose and twist of base_link from the path of the scanner."""
         assert self._path is not None
-        t = self._seconds(stamp_ns)
-        sensor, rate = self._path.pose(t), self._path.velocity(t)
-        x, y, yaw = self._mount
-        to_base = _rotation(yaw - sensor[2])
-        # of the scanner's velocity, what its lever arm does is not base_link's
-        lever = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
-        J_twist = lever @ to_base
-        arm = to_base[:2, :2].T @ [-x, -y]
-        J_pose = _rotation(self._T_odom_first[2]) @ np.array(
-            [[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]], [0.0, 0.0, 1.0]])
-        twist_covariance = J_twist @ self._path.uncertainty.velocity(t) @ J_twist.T
-        sigma = np.sqrt(np.linalg.eigvalsh(twist_covariance[:2, :2])[-1])
+        pose, twist = np.empty(3), np.empty(3)
+        pose_covariance, twist_covariance = np.empty((3, 3)), np.empty((3, 3))
+        known = self._path.uncertainty
+        of_base(self._path.knots, self._path.h, self._seconds(stamp_ns), known.covariance,
+                known.first, self._mount, self._T_odom_first, pose, pose_covariance, twist,
+                twist_covariance)
+        sigma = speed_sigma(twist_covariance)
         limit = self.config.degenerate_sigma
-        return Estimate(
-            stamp_ns,
-            geometry.compose(self._T_odom_first,
-                             geometry.compose(sensor, geometry.inverse(self._mount))),
-            J_pose @ self._path.uncertainty.pose(t) @ J_pose.T, J_twist @ rate, twist_covariance,
-            float(1.0 / (1.0 + (sigma / limit) ** 2)), bool(sigma > limit))
+        return Estimate(stamp_ns, pose, pose_covariance, twist, twist_covariance,
+                        1.0 / (1.0 + (sigma / limit) ** 2), sigma > limit)
 
 
 def _rotation(angle: float) -> Array:

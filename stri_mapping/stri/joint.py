@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from stri_mapping import geometry
 from stri_mapping.stri.keyframe import LABEL
+from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
@@ -67,7 +68,7 @@ class JointConfig:
     angular_acceleration: float = 2.0
     turn: float = 0.4
     far: float = 80.0
-    start_steps: int = 13
+    start_steps: int = 8
     iterations: int = 7
     learn_error: bool = True
 
@@ -226,9 +227,15 @@ class JointPath:
             window.pairs.renew(stale)
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
-        self.sigma = self.uncertainty.speed(self.step * self.h)
+        self.sigma = self._speed_sigma()
         window.seen_through(self._newest, self.knots, self.trust.through)
         self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN)
+
+    def _speed_sigma(self) -> float:
+        here, rest, covariance = np.zeros(3), np.empty((3, 3)), np.empty((3, 3))
+        of_base(self.knots, self.h, self.step * self.h, self.uncertainty.covariance,
+                self.uncertainty.first, here, here, np.empty(3), rest, np.empty(3), covariance)
+        return speed_sigma(covariance)
 
     def _solve(
         self, first: int, last: int, scales: Array, newest: float, iterations: int,

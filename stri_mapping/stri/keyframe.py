@@ -139,7 +139,7 @@ def build(
 
     """
     points, bearings = _merge(rays, knots, h, moment)
-    look(points, sight)
+    look(points, bearings, sight)
     use = np.flatnonzero(rays[:, LONE] != SIGHT_ONLY)
     order = use[np.argsort(bearings[use])]
     n = len(order)
@@ -293,16 +293,26 @@ def bearing_bin(bearing: float) -> int:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def look(points: Array, sight: Array) -> None:
-    """Write metres to the nearest of points (n, 2) at each of (SIGHTS,) bearings, 0 for none."""
+def look(points: Array, bearings: Array, sight: Array) -> None:
+    """
+    Write how far rays go along each line of sight.
+
+    Parameters
+    ----------
+    points, bearings
+        (n, 2) returns in the keyframe's frame, and their (n,) bearings.
+    sight
+        (SIGHTS,) written with metres to the nearest of them, 0 where there is none.
+
+    """
     sight[:] = 0.0
     for i in range(len(points)):
-        q, r = sector(points[i, 0], points[i, 1]), math.hypot(points[i, 0], points[i, 1])
+        q, r = sector(bearings[i]), math.hypot(points[i, 0], points[i, 1])
         if sight[q] == 0.0 or r < sight[q]:
             sight[q] = r
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def sector(x: float, y: float) -> int:
-    """Return the line of sight that a point in the keyframe's frame lies on."""
-    return min(int((math.atan2(y, x) + math.pi) * (SIGHTS / (2.0 * math.pi))), SIGHTS - 1)
+def sector(bearing: float) -> int:
+    """Return the line of sight of a bearing in [-pi, pi]."""
+    return min(int((bearing + math.pi) * (SIGHTS / (2.0 * math.pi))), SIGHTS - 1)

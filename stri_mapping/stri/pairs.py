@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import bearing_bin, NORMAL_VAR, NX, NY, PULL, S_LABEL, X, Y
+from stri_mapping.stri.keyframe import bearing_bin, NORMAL_VAR, NX, NY, PULL, S_BEARING, S_LABEL, X, Y
 
 Array = NDArray[np.float64]
 
@@ -76,13 +76,14 @@ def linearise(
     asked = forward[0] ** 2 + forward[1] ** 2
     votes[-1] += asked
     reach = max(TANGENT, TANGENT_PER_SCALE * scale)
+    widest = math.hypot(reach, 4.0 * scale)
     for r in range(first, count_a, stride):
         label = int(a[r, S_LABEL]) % len(trust)
         shift = pull * a[r, PULL]
         ax, ay = a[r, X] - shift * a[r, NX], a[r, Y] - shift * a[r, NY]
         px, py = cos * ax - sin * ay, sin * ax + cos * ay
         x, y = px + z[0], py + z[1]
-        k = _partner(b, count_b, bins_b, x, y)
+        k = _partner(b, count_b, bins_b, x, y, widest)
         if k < 0:
             continue
         sees = (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2 + FLAT * asked
@@ -123,15 +124,33 @@ def linearise(
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _partner(b: Array, count: int, bins: NDArray[np.int32], x: float, y: float) -> int:
-    """Return the surfel of b nearest to a point among those at its bearing, -1 for none."""
-    middle = bins[bearing_bin(math.atan2(y, x))]
-    best, nearest = -1, 1e9
-    for k in range(max(0, middle - 6), min(count, middle + 10)):
+def _partner(
+    b: Array, count: int, bins: NDArray[np.int32], x: float, y: float, widest: float,
+) -> int:
+    """
+    Return the surfel of b nearest to a point, -1 where none is within a distance.
+
+    From the point's bearing it goes both ways until bearings alone are further apart.
+    """
+    bearing, r = math.atan2(y, x), math.hypot(x, y)
+    middle = bins[bearing_bin(bearing)]
+    while middle < count and b[middle, S_BEARING] < bearing:
+        middle += 1
+    best, nearest, apart = -1, widest * widest, widest / r
+    k = middle
+    while k < count and b[k, S_BEARING] - bearing < apart:
         dx, dy = b[k, X] - x, b[k, Y] - y
         d = dx * dx + dy * dy
         if d < nearest:
-            best, nearest = k, d
+            best, nearest, apart = k, d, math.sqrt(d) / r
+        k += 1
+    k = middle - 1
+    while k >= 0 and bearing - b[k, S_BEARING] < apart:
+        dx, dy = b[k, X] - x, b[k, Y] - y
+        d = dx * dx + dy * dy
+        if d < nearest:
+            best, nearest, apart = k, d, math.sqrt(d) / r
+        k -= 1
     return best
 
 

@@ -11,7 +11,6 @@ agrees with every speed, and only what stands out of it decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 
 import numba
@@ -25,124 +24,166 @@ CAP = 0.25           # metres beyond which a difference of ranges says "somethin
 LAGS = (0.1, 0.25, 0.45)
 SPEEDS = np.arange(-20.0, 20.01, 0.2)
 TURN_RATES = np.deg2rad(np.arange(-60.0, 60.01, 10.0))
-REFINE = 10          # times finer around the best
+AROUND = np.arange(-2.0, 2.01) / 3.0     # grid intervals tried about the best, then finer
+REFINEMENTS = 4
 
 Profile = tuple[float, Array, Array]     # seconds, bearings (n,), ranges (n,) NaN where none
 
 
-def propose(
-    profiles: Sequence[Profile], mount: Array, speeds: Array = SPEEDS,
-    turn_rates: Array = TURN_RATES,
-) -> tuple[Array, float]:
+class SlopeSearch:
     """
-    Return the constant twist of base_link that best predicts each profile from earlier ones.
+    Candidates of a constant twist of base_link, judged as scan after scan comes.
 
     Parameters
     ----------
-    profiles
-        Time, bearings (rising, evenly spaced, planar scanner frame) and ranges of each scan,
-        oldest first.
     mount
         (3,) planar pose of the scanner in base_link.
     speeds, turn_rates
-        Candidates in m/s along base_link's x axis and rad/s; the best is refined between them.
-
-    Returns
-    -------
-    twist : Array
-        (3,) speed, 0, turn rate.
-    cost : float
-        Mean capped difference of ranges in metres at that twist; `CAP` where nothing overlaps.
+        Candidates in m/s along base_link's x axis and rad/s, evenly spaced; the best is refined
+        between them.
+    every
+        Seconds between scans that later ones are predicted from.
 
     """
-    profiles = [p for p in profiles if len(p[1]) > 1]       # a scan may come without rays
-    if len(profiles) < 2:
-        return np.zeros(3), CAP
-    ranges = np.full((len(profiles), max(len(r) for _, _, r in profiles)), np.nan)
-    for row, (_, _, r) in zip(ranges, profiles):
-        row[:len(r)] = np.where(r < FAR, r, np.nan)
-    times = np.array([t for t, _, _ in profiles])
-    first = np.array([b[0] for _, b, _ in profiles])
-    step = float(profiles[0][1][1] - profiles[0][1][0])
-    pairs = _pairs(times)
-    speed, turn = 0.0, 0.0
-    fine_speeds, fine_turns = speeds, turn_rates
-    for every in (3, 1):
-        costs = _costs(ranges, first, step, times, pairs, mount, fine_speeds, fine_turns,
-                       every)
-        # where nothing decides, rather slow than fast
-        costs += 1e-5 * np.abs(fine_speeds)[:, None] + 1e-5 * np.abs(fine_turns)
-        best, cost = np.unravel_index(int(np.argmin(costs)), costs.shape), float(costs.min())
-        speed, turn = float(fine_speeds[best[0]]), float(fine_turns[best[1]])
-        around = np.linspace(-1.0, 1.0, 2 * REFINE + 1)
-        fine_speeds = speed + around * _spacing(speeds)
-        fine_turns = turn + around * _spacing(turn_rates)
-    return np.array([speed, 0.0, turn]), cost
 
+    def __init__(
+        self, mount: Array, speeds: Array = SPEEDS, turn_rates: Array = TURN_RATES,
+        every: float = 0.08,
+    ) -> None:
+        """Start with no scan."""
+        self._mount, self._every = mount, every
+        self._speeds, self._turn_rates = speeds, turn_rates
+        self._total = np.zeros((len(speeds), len(turn_rates)))
+        self._weight = np.zeros_like(self._total)
+        self._profiles: list[Profile] = []
+        self._pairs: list[tuple[int, int]] = []
+        self._anchors: list[int] = []            # scans that later ones are predicted from
+        self._next = [0] * len(LAGS)             # anchor due next, for each lag
 
-def cost_of(profiles: Sequence[Profile], mount: Array, twist: Array) -> float:
-    """Return the cost, as `propose` has it, of one twist (3,) of base_link."""
-    _, cost = propose(profiles, mount, twist[:1], twist[2:])
-    return cost
+    def add(self, profile: Profile) -> None:
+        """
+        Predict a scan from earlier ones by every candidate.
+
+        Parameters
+        ----------
+        profile
+            Time, bearings (rising, evenly spaced, planar scanner frame) and ranges of the scan.
+
+        """
+        t, bearings, ranges = profile
+        if len(bearings) < 2:                   # a scan may come without rays
+            return
+        k = len(self._profiles)
+        self._profiles.append((t, bearings, np.where(ranges < FAR, ranges, np.nan)))
+        for i in self._due(t):
+            self._pairs.append((i, k))
+            self._compare([(i, k)], self._speeds, self._turn_rates, 3, self._total, self._weight)
+        if not self._anchors or t >= self._profiles[self._anchors[-1]][0] + self._every:
+            self._anchors.append(k)
+
+    def _due(self, t: float) -> list[int]:
+        """Return the anchors from which a scan at a time is to be predicted."""
+        found = set()
+        for n, lag in enumerate(LAGS):
+            begin = self._next[n]
+            while (self._next[n] < len(self._anchors)
+                    and self._profiles[self._anchors[self._next[n]]][0] + lag <= t):
+                self._next[n] += 1
+            if self._next[n] > begin:
+                found.add(self._anchors[self._next[n] - 1])
+        return sorted(found)
+
+    def best(self) -> tuple[Array, float]:
+        """
+        Refine the best candidate.
+
+        Returns
+        -------
+        twist : Array
+            (3,) speed, 0, turn rate.
+        cost : float
+            Mean capped difference of ranges in metres at that twist; `CAP` where nothing
+            overlaps.
+
+        """
+        costs = _mean(self._total, self._weight) + _haste(self._speeds, self._turn_rates)
+        v, w = np.unravel_index(int(np.argmin(costs)), costs.shape)
+        speed, turn = float(self._speeds[v]), float(self._turn_rates[w])
+        by_speed, by_turn = _spacing(self._speeds), _spacing(self._turn_rates)
+        cost = float(costs[v, w])
+        for level in range(REFINEMENTS):
+            finer = AROUND * 0.4 ** level
+            speeds, turns = speed + finer * by_speed, turn + finer * by_turn
+            costs = self._costs(speeds, turns) + _haste(speeds, turns)
+            v, w = np.unravel_index(int(np.argmin(costs)), costs.shape)
+            speed, turn, cost = float(speeds[v]), float(turns[w]), float(costs[v, w])
+        return np.array([speed, 0.0, turn]), cost
+
+    def cost_of(self, twist: Array) -> float:
+        """Return the cost, as `best` has it, of one twist (3,) of base_link."""
+        return float(self._costs(twist[:1], twist[2:])[0, 0])
+
+    def _costs(self, speeds: Array, turn_rates: Array) -> Array:
+        total = np.zeros((len(speeds), len(turn_rates)))
+        weight = np.zeros_like(total)
+        self._compare(self._pairs, speeds, turn_rates, 1, total, weight)
+        return _mean(total, weight)
+
+    def _compare(
+        self, pairs: list[tuple[int, int]], speeds: Array, turn_rates: Array, every: int,
+        total: Array, weight: Array,
+    ) -> None:
+        for i, k in pairs:
+            (t, bearings, ranges), (later, there, then) = self._profiles[i], self._profiles[k]
+            _predict(ranges, bearings[0], then, there[0], bearings[1] - bearings[0], later - t,
+                     self._mount, speeds, turn_rates, k % every, every, total, weight)
 
 
 def _spacing(values: Array) -> float:
     return float(values[1] - values[0]) if len(values) > 1 else 0.0
 
 
-def _pairs(times: Array) -> NDArray[np.int64]:
-    """Return (m, 2) indices of scans to compare: lags in seconds, or the scans' own period."""
-    found = []
-    for i in range(0, len(times), 1 + len(times) // 8):
-        for lag in LAGS:
-            k = int(np.searchsorted(times, times[i] + lag))
-            if i < k < len(times) and (i, k) not in found:
-                found.append((i, k))
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+def _haste(speeds: Array, turn_rates: Array) -> Array:
+    """Return what is added to costs, so that where nothing decides it is rather slow than fast."""
+    return np.asarray(1e-5 * np.abs(speeds)[:, None] + 1e-5 * np.abs(turn_rates))
+
+
+def _mean(total: Array, weight: Array) -> Array:
+    """Return mean differences; a motion that leaves little to compare must not win by that."""
+    missing = np.maximum(0.0, 0.5 * weight.max() - weight)
+    return np.asarray((total + CAP * missing + CAP * 1e-9) / (weight + missing + 1e-9))
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _costs(
-    ranges: Array, first: Array, step: float, times: Array, pairs: NDArray[np.int64],
-    mount: Array, speeds: Array, turn_rates: Array, every: int,
-) -> Array:
-    """Return the mean capped range differences (speeds, turn rates)."""
-    rays = ranges.shape[1]
-    total = np.zeros((len(speeds), len(turn_rates)))
-    weight = np.full((len(speeds), len(turn_rates)), 1e-9)
+def _predict(
+    ranges: Array, first: float, later: Array, later_first: float, step: float, dt: float,
+    mount: Array, speeds: Array, turn_rates: Array, begin: int, every: int, total: Array,
+    weight: Array,
+) -> None:
+    """Add the capped range differences of a later scan, and their counts (speeds, turn rates)."""
     cm, sm = math.cos(mount[2]), math.sin(mount[2])
-    for p in range(len(pairs)):
-        i, k = pairs[p]
-        dt = times[k] - times[i]
-        for j in range(p % every, rays, every):
-            r = ranges[i, j]
-            if not math.isfinite(r):
-                continue
-            a = first[i] + step * j + mount[2]
-            # the point in base_link at the time of scan i
-            x, y = mount[0] + r * math.cos(a), mount[1] + r * math.sin(a)
-            for w in range(len(turn_rates)):
-                half = 0.5 * turn_rates[w] * dt
-                chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
-                c, s = math.cos(2.0 * half), math.sin(2.0 * half)
-                ux, uy = chord * math.cos(half) * dt, chord * math.sin(half) * dt
-                for v in range(len(speeds)):
-                    # in base_link at the time of scan k, then from the scanner
-                    dx, dy = x - speeds[v] * ux, y - speeds[v] * uy
-                    bx, by = c * dx + s * dy - mount[0], -s * dx + c * dy - mount[1]
-                    lx, ly = cm * bx + sm * by, -sm * bx + cm * by
-                    u = (math.atan2(ly, lx) - first[k]) / step
-                    if 0.0 < u < rays - 1:
-                        near, far = ranges[k, int(u)], ranges[k, int(u) + 1]
-                        total[v, w] += _difference(math.hypot(lx, ly), near, far)
-                        weight[v, w] += 1.0
-    # a motion that leaves little to compare must not win by that
-    enough = 0.5 * weight.max()
-    for v in range(len(speeds)):
+    for j in range(begin, len(ranges), every):
+        r = ranges[j]
+        if not math.isfinite(r):
+            continue
+        a = first + step * j + mount[2]
+        # the point in base_link at the time of the earlier scan
+        x, y = mount[0] + r * math.cos(a), mount[1] + r * math.sin(a)
         for w in range(len(turn_rates)):
-            missing = max(0.0, enough - weight[v, w])
-            total[v, w] = (total[v, w] + CAP * missing) / (weight[v, w] + missing)
-    return total
+            half = 0.5 * turn_rates[w] * dt
+            chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
+            c, s = math.cos(2.0 * half), math.sin(2.0 * half)
+            ux, uy = chord * math.cos(half) * dt, chord * math.sin(half) * dt
+            for v in range(len(speeds)):
+                # in base_link at the time of the later scan, then from the scanner
+                dx, dy = x - speeds[v] * ux, y - speeds[v] * uy
+                bx, by = c * dx + s * dy - mount[0], -s * dx + c * dy - mount[1]
+                lx, ly = cm * bx + sm * by, -sm * bx + cm * by
+                u = (math.atan2(ly, lx) - later_first) / step
+                if 0.0 < u < len(later) - 1:
+                    near, far = later[int(u)], later[int(u) + 1]
+                    total[v, w] += _difference(math.hypot(lx, ly), near, far)
+                    weight[v, w] += 1.0
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]

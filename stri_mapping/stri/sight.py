@@ -86,7 +86,7 @@ def count_left(
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
 def _seen_through(x: float, y: float, sight: Array) -> bool:
-    d, q = math.hypot(x, y), sector(x, y)
+    d, q = math.hypot(x, y), sector(math.atan2(y, x))
     beyond = d + CLEAR + CLEAR_PER_RANGE * d
     return bool(sight[q - 1] > beyond and sight[q] > beyond
                 and sight[(q + 1) % len(sight)] > beyond)

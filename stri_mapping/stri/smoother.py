@@ -21,7 +21,7 @@ from stri_mapping.stri.spline import pose_at
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-RESIDUALS = 200                   # of a pair, about: more of one keyframe tell little new
+RESIDUALS = 100   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
 STOP = 2e-4                       # metres or radians: the fit has converged
 # Residuals of one surface repeat the same error in every pair; this many count as one.
@@ -98,8 +98,8 @@ def _add_pairs(
     trust: Array, forward: Array, votes: Array, information: Array, slope: Array,
 ) -> None:
     weights_a, weights_b = np.empty(4), np.empty(4)
-    now, shift = np.empty(3), np.empty(3)
-    jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
+    now, shift, g = np.empty(3), np.empty(3), np.empty(3)
+    blocks = np.empty((5, 3, 3))
     still = np.zeros(2)
     for p in range(len(ends)):
         a, b = ends[p]
@@ -125,56 +125,93 @@ def _add_pairs(
             passes[p] += 1
         for d in range(3):
             shift[d] = now[d] - z[p, d]
-        g = gradient[p] + hessian[p] @ shift
-        m = chain(ka - first, kb - first, weights_a, weights_b, pose[b], now, jacobian, columns)
-        _scatter(jacobian, columns, m, hessian[p], g, information, slope)
+        for d in range(3):
+            g[d] = (gradient[p, d] + hessian[p, d, 0] * shift[0] + hessian[p, d, 1] * shift[1]
+                    + hessian[p, d, 2] * shift[2])
+        add_pair(ka - first, kb - first, weights_a, weights_b, pose[b], now, hessian[p], g,
+                 1.0 / DILUTION, blocks, information, slope)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def chain(
+def add_pair(
     ka: int, kb: int, weights_a: Array, weights_b: Array, pose_b: Array, z: Array,
-    jacobian: Array, columns: Index,
-) -> int:
-    """Write dz / d(active coefficients) and the coefficients' rows; return how many."""
-    cos, sin = math.cos(pose_b[2]), math.sin(pose_b[2])
-    m = 0
-    for i in range(4):
-        if ka + i >= 0:
-            f = weights_a[i]
-            jacobian[0, m], jacobian[0, m + 1], jacobian[0, m + 2] = f * cos, f * sin, 0.0
-            jacobian[1, m], jacobian[1, m + 1], jacobian[1, m + 2] = -f * sin, f * cos, 0.0
-            jacobian[2, m], jacobian[2, m + 1], jacobian[2, m + 2] = 0.0, 0.0, f
-            for d in range(3):
-                columns[m + d] = 3 * (ka + i) + d
-            m += 3
-        if kb + i >= 0:
-            f = weights_b[i]
-            jacobian[0, m], jacobian[0, m + 1], jacobian[0, m + 2] = -f * cos, -f * sin, f * z[1]
-            jacobian[1, m], jacobian[1, m + 1], jacobian[1, m + 2] = f * sin, -f * cos, -f * z[0]
-            jacobian[2, m], jacobian[2, m + 1], jacobian[2, m + 2] = 0.0, 0.0, -f
-            for d in range(3):
-                columns[m + d] = 3 * (kb + i) + d
-            m += 3
-    return m
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _scatter(
-    jacobian: Array, columns: Index, m: int, hessian: Array, g: Array, information: Array,
+    hessian: Array, gradient: Array, factor: float, blocks: Array, information: Array,
     slope: Array,
 ) -> None:
-    for i in range(m):
-        slope[columns[i]] += (jacobian[0, i] * g[0] + jacobian[1, i] * g[1]
-                              + jacobian[2, i] * g[2]) / DILUTION
-        h0 = (jacobian[0, i] * hessian[0, 0] + jacobian[1, i] * hessian[1, 0]
-              + jacobian[2, i] * hessian[2, 0]) / DILUTION
-        h1 = (jacobian[0, i] * hessian[0, 1] + jacobian[1, i] * hessian[1, 1]
-              + jacobian[2, i] * hessian[2, 1]) / DILUTION
-        h2 = (jacobian[0, i] * hessian[0, 2] + jacobian[1, i] * hessian[1, 2]
-              + jacobian[2, i] * hessian[2, 2]) / DILUTION
-        for j in range(m):
-            information[columns[i], columns[j]] += (
-                h0 * jacobian[0, j] + h1 * jacobian[1, j] + h2 * jacobian[2, j])
+    """
+    Add what a pair tells of its relative pose to the coefficients of both ends.
+
+    Parameters
+    ----------
+    ka, kb
+        Row, in knots, of the first coefficient of either end; rows below zero are fixed.
+    weights_a, weights_b
+        (4,) of the coefficients.
+    pose_b, z
+        (3,) of keyframe b, and of a in it.
+    hessian, gradient
+        (3, 3), (3,) in z.
+    factor
+        By which both are multiplied.
+    blocks
+        (5, 3, 3) scratch.
+    information, slope
+        (3 n, 3 n), (3 n,) added to.
+
+    """
+    cos, sin = math.cos(pose_b[2]), math.sin(pose_b[2])
+    to_a, to_b = blocks[3], blocks[4]         # dz by the poses of a and of b
+    to_a[0, 0], to_a[0, 1], to_a[0, 2] = cos, sin, 0.0
+    to_a[1, 0], to_a[1, 1], to_a[1, 2] = -sin, cos, 0.0
+    to_a[2, 0], to_a[2, 1], to_a[2, 2] = 0.0, 0.0, 1.0
+    to_b[0, 0], to_b[0, 1], to_b[0, 2] = -cos, -sin, z[1]
+    to_b[1, 0], to_b[1, 1], to_b[1, 2] = sin, -cos, -z[0]
+    to_b[2, 0], to_b[2, 1], to_b[2, 2] = 0.0, 0.0, -1.0
+    _product(to_a, hessian, to_a, factor, blocks[0])
+    _product(to_b, hessian, to_b, factor, blocks[1])
+    _product(to_a, hessian, to_b, factor, blocks[2])
+    for i in range(4):
+        row_a, row_b = 3 * (ka + i), 3 * (kb + i)
+        for d in range(3):
+            if row_a >= 0:
+                slope[row_a + d] += weights_a[i] * factor * (
+                    to_a[0, d] * gradient[0] + to_a[1, d] * gradient[1] + to_a[2, d] * gradient[2])
+            if row_b >= 0:
+                slope[row_b + d] += weights_b[i] * factor * (
+                    to_b[0, d] * gradient[0] + to_b[1, d] * gradient[1] + to_b[2, d] * gradient[2])
+        for j in range(4):
+            column_a, column_b = 3 * (ka + j), 3 * (kb + j)
+            if row_a >= 0 and column_a >= 0:
+                _add_block(weights_a[i] * weights_a[j], blocks[0], row_a, column_a, information)
+            if row_b >= 0 and column_b >= 0:
+                _add_block(weights_b[i] * weights_b[j], blocks[1], row_b, column_b, information)
+            if row_a >= 0 and column_b >= 0:
+                w = weights_a[i] * weights_b[j]
+                for d in range(3):
+                    for e in range(3):
+                        information[row_a + d, column_b + e] += w * blocks[2, d, e]
+                        information[column_b + e, row_a + d] += w * blocks[2, d, e]
+
+
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def _add_block(w: float, block: Array, row: int, column: int, information: Array) -> None:
+    for d in range(3):
+        for e in range(3):
+            information[row + d, column + e] += w * block[d, e]
+
+
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def _product(left: Array, middle: Array, right: Array, factor: float, out: Array) -> None:
+    """Write factor left' middle right, all (3, 3)."""
+    for c in range(3):
+        m0 = factor * (middle[0, 0] * right[0, c] + middle[0, 1] * right[1, c]
+                       + middle[0, 2] * right[2, c])
+        m1 = factor * (middle[1, 0] * right[0, c] + middle[1, 1] * right[1, c]
+                       + middle[1, 2] * right[2, c])
+        m2 = factor * (middle[2, 0] * right[0, c] + middle[2, 1] * right[1, c]
+                       + middle[2, 2] * right[2, c])
+        for r in range(3):
+            out[r, c] = left[0, r] * m0 + left[1, r] * m1 + left[2, r] * m2
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

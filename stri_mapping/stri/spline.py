@@ -28,6 +28,14 @@ def basis(u: float, out: Array) -> None:
     out[3] = u * u * u / 6.0
 
 
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def slopes(u: float, h: float, out: Array) -> None:
+    """Write the four weights of the derivative at fraction u of a knot interval."""
+    first, last = 0.5 * (1.0 - u) ** 2, 0.5 * u * u
+    middle = 1.0 - first - last
+    out[0], out[1], out[2], out[3] = -first / h, (first - middle) / h, (middle - last) / h, last / h
+
+
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def pose_at(knots: Array, h: float, t: float, weights: Array, pose: Array) -> int:
     """Write the pose at time t and its four weights; return the first knot's index."""
@@ -43,9 +51,8 @@ def pose_at(knots: Array, h: float, t: float, weights: Array, pose: Array) -> in
 def velocity_at(knots: Array, h: float, t: float, out: Array) -> None:
     """Write the derivative of the pose at time t, in the spline's frame."""
     k = int(math.floor(t / h))
-    u = t / h - k
-    first, last = 0.5 * (1.0 - u) ** 2, 0.5 * u * u
+    weights = np.empty(4)
+    slopes(t / h - k, h, weights)
     for d in range(3):
-        out[d] = ((knots[k + 1, d] - knots[k, d]) * first
-                  + (knots[k + 2, d] - knots[k + 1, d]) * (1.0 - first - last)
-                  + (knots[k + 3, d] - knots[k + 2, d]) * last) / h
+        out[d] = (weights[0] * knots[k, d] + weights[1] * knots[k + 1, d]
+                  + weights[2] * knots[k + 2, d] + weights[3] * knots[k + 3, d])

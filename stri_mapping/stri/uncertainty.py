@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.pairs import relative
-from stri_mapping.stri.smoother import add_prior, chain, SECOND, THIRD
+from stri_mapping.stri.smoother import add_pair, add_prior, SECOND, THIRD
 from stri_mapping.stri.spline import basis, pose_at
 from stri_mapping.stri.window import Keyframes, Pairs
 
@@ -42,6 +42,13 @@ class Uncertainty:
     spacing
         Knot spacing in seconds.
 
+    Attributes
+    ----------
+    covariance
+        (3 n, 3 n) of the coefficients of the newest knots, in the first scan's frame.
+    first
+        Knot of the first of them.
+
     """
 
     def __init__(self, spacing: float) -> None:
@@ -49,7 +56,7 @@ class Uncertainty:
         self.h = spacing
         self.first = 0
         self._information: Array = np.zeros((0, 0))
-        self._covariance: Array = np.zeros((0, 0))
+        self.covariance: Array = np.zeros((0, 0))
         self._jerk = np.array([JERK, JERK, ANGULAR_JERK]) ** -2.0 * spacing ** -6
         self._acceleration = np.array(
             [ACCELERATION, ACCELERATION, ANGULAR_ACCELERATION]) ** -2.0 * spacing ** -4
@@ -94,35 +101,7 @@ class Uncertainty:
                 information[drop:, drop:] - information[drop:, :drop] @ kept, np.float64)
             self.first += drop // 3
         self._information = np.asarray(0.5 * (information + information.T), np.float64)
-        self._covariance = np.asarray(np.linalg.inv(self._information), np.float64)
-
-    def pose(self, t: float) -> Array:
-        """Return the covariance (3, 3) of the pose at a time in the window."""
-        weights = np.empty(4)
-        k = self._clamp(int(math.floor(t / self.h)))
-        basis(min(max(t / self.h - k, 0.0), 1.0), weights)
-        return self._spread(k, weights)
-
-    def velocity(self, t: float) -> Array:
-        """Return the covariance (3, 3) of the velocity at a time in the window."""
-        k = self._clamp(int(math.floor(t / self.h)))
-        u = min(max(t / self.h - k, 0.0), 1.0)
-        first, last = 0.5 * (1.0 - u) ** 2, 0.5 * u * u
-        middle = 1.0 - first - last
-        return self._spread(
-            k, np.array([-first, first - middle, middle - last, last]) / self.h)
-
-    def speed(self, t: float) -> float:
-        """Return the standard deviation in m/s of the velocity in its least certain direction."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.velocity(t)[:2, :2])[-1]))
-
-    def _clamp(self, k: int) -> int:
-        return min(max(k, self.first), self.first + len(self._covariance) // 3 - 4)
-
-    def _spread(self, k: int, weights: Array) -> Array:
-        at = 3 * (k - self.first)
-        block = self._covariance[at:at + 12, at:at + 12]
-        return np.asarray(weights @ (weights @ block.reshape(4, 36)).reshape(3, 4, 3))
+        self.covariance = np.asarray(np.linalg.inv(self._information), np.float64)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -145,8 +124,8 @@ def _add(
 ) -> None:
     weights_a, weights_b = np.empty(4), np.empty(4)
     scratch, delta = np.empty(3), np.empty(3)
-    jacobian, columns = np.zeros((3, 24)), np.zeros(24, np.int64)
-    turn = np.eye(3)
+    blocks, turn = np.empty((5, 3, 3)), np.eye(3)
+    none, slope = np.zeros(3), np.zeros(len(information))
     for p in range(len(ends)):
         a, b = ends[p]
         if max(time[a], time[b]) < newest:
@@ -170,14 +149,8 @@ def _add(
             pose_at(knots, h, time[b], weights_b, scratch)
         relative(pose_a, pose_b, delta)
         _moved_information(hessian[p], pose[b], pose[a], pose_b, pose_a, turn)
-        m = chain(ka - first, kb - first, weights_a, weights_b, pose_b, delta, jacobian, columns)
-        for i in range(m):
-            for j in range(m):
-                s = 0.0
-                for r in range(3):
-                    for c in range(3):
-                        s += jacobian[r, i] * turn[r, c] * jacobian[c, j]
-                information[columns[i], columns[j]] += s / DILUTION
+        add_pair(ka - first, kb - first, weights_a, weights_b, pose_b, delta, turn, none,
+                 1.0 / DILUTION, blocks, information, slope)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

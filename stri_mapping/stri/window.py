@@ -24,7 +24,7 @@ SEEN_THROUGH = (2, 4, 7)                # keyframes back
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
 KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
 KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
-STALE_SHIFT, STALE_TURN = 0.0015, 0.0004     # m, rad by which rays of a keyframe are misplaced
+STALE_SHIFT, STALE_TURN = 0.003, 0.0008     # m, rad by which rays of a keyframe are misplaced
 
 
 @dataclass(eq=False)
