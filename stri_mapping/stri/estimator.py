@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe
+from stri_mapping.stri.beat import Beat
 from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointConfig, JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
@@ -29,7 +30,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-PROFILES = 48               # scans kept for proposing a motion
+RECENT = 0.64               # seconds of scans kept for proposing a motion
+CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
 TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
@@ -87,16 +89,17 @@ class StriEstimator:
         self._mount = geometry.planar_pose(T_base_laser)
         self._handed = 1.0 if T_base_laser[2, 2] > 0.0 else -1.0    # -1: mounted upside down
         self._segmenter = Segmenter()
-        self._starting: list[tuple[Scan, Labels]] = []
+        self._starting: list[tuple[Scan, Labels, float]] = []      # with times, see `Beat`
         self._search = SlopeSearch(self._mount)  # of the motion at the start
-        self._pending: deque[int] = deque()      # stamps of scans whose final pose is to come
+        self._beat = Beat()
+        self._pending: deque[tuple[int, float]] = deque()    # scans whose final pose is to come
         self._refined: list[Estimate] = []       # final, not yet taken
         self._path: JointPath | None = None
         self._advanced = False                   # whether the scan before extended the path
         self._looks = False                      # whether a look for the motion is due
         self._found: Array | None = None         # another motion, to be taken up
-        self._profiles: deque[Profile] = deque(maxlen=PROFILES)
-        self._origin_ns = 0
+        self._profiles: deque[Profile] = deque()
+        self._origin_ns: int | None = None
         self._T_odom_first = np.zeros(3)         # odom from the path's own frame
 
     def warm_up(self) -> None:
@@ -122,17 +125,20 @@ class StriEstimator:
         labels = self._segmenter.segment(scan)
         self.range_image.append(scan, labels)
         self.range_image_log.append(scan, labels)
-        self._pending.append(scan.stamp_ns)
+        if self._origin_ns is None:
+            self._origin_ns = scan.stamp_ns
+        time = self._beat.add((scan.stamp_ns - self._origin_ns) * 1e-9)
+        self._pending.append((scan.stamp_ns, time))
         if self._path is None:
-            self._starting.append((scan, labels))
-            self._search.add(self._profile(scan))
+            self._starting.append((scan, labels, time))
+            self._search.add(self._profile(scan, time))
             if not self._ready():
                 return None
             self._start()
         else:
             self._path.trust.add(self._segmenter.surfaces)
-            self._take(scan, labels)
-        return self._estimate(scan.stamp_ns)
+            self._take(scan, labels, time)
+        return self._estimate(*self._pending[-1])
 
     def take_refined(self) -> list[Estimate]:
         """Return the estimates that became final since the last call, in order, one a scan."""
@@ -145,39 +151,33 @@ class StriEstimator:
             self._start()
         if self._path is None:
             return
-        while self._pending and self._path.step * self._path.h <= self._seconds(self._pending[-1]):
+        while self._pending and self._path.step * self._path.h <= self._pending[-1][1] + self._path.h:
             self._path.advance()
         self._release(np.inf)
 
-    def _seconds(self, stamp_ns: int) -> float:
-        """Return the time on the spline's clock, which is one knot ahead of the first scan."""
-        assert self._path is not None
-        return (stamp_ns - self._origin_ns) * 1e-9 + self._path.h
-
     def _spacing(self) -> float:
-        stamps = [scan.stamp_ns for scan, _ in self._starting]
-        period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+        times = [time for _, _, time in self._starting]
+        period = (times[-1] - times[0]) / max(len(times) - 1, 1)
         return max(self.config.knot_spacing, period)
 
     def _ready(self) -> bool:
-        span = (self._starting[-1][0].stamp_ns - self._starting[0][0].stamp_ns) * 1e-9
+        span = self._starting[-1][2] - self._starting[0][2]
         return len(self._starting) > 5 and (
             span > (self.config.joint.start_steps - 1) * self._spacing())
 
     def _start(self) -> None:
         """Read the first speed from the slope of the range image, then fit the scans kept."""
-        scans = [scan for scan, _ in self._starting]
         twist, _ = self._search.best()
-        self._origin_ns = scans[0].stamp_ns
-        step = float(abs(scans[0].angles[1] - scans[0].angles[0]))
+        angles = self._starting[0][0].angles
+        step = float(abs(angles[1] - angles[0]))
         self._path = path = JointPath(
             self._spacing(), step, _rotation(-self._mount[2])[:2, 0], self.config.joint)
         path.trust.add(self._segmenter.surfaces)
         path.trust.pardon()
         kept, self._starting = self._starting, []
         begun = False
-        for scan, labels in kept:
-            rays, start, end = self._prepare(scan, labels)
+        for scan, labels, time in kept:
+            rays, start, end = self._prepare(scan, labels, time)
             if not begun and end > self.config.joint.start_steps * path.h:
                 begun = True
                 path.begin(self._of_scanner(twist))
@@ -194,17 +194,18 @@ class StriEstimator:
         lever = twist + twist[2] * np.array([-self._mount[1], self._mount[0], 0.0])
         return np.asarray(_rotation(-self._mount[2]) @ lever)
 
-    def _profile(self, scan: Scan, moves: Mask | None = None) -> Profile:
+    def _profile(self, scan: Scan, time: float, moves: Mask | None = None) -> Profile:
         """Return a scan as `SlopeSearch` takes it, without the rays on what is known to move."""
         ranges = np.where(scan.valid, scan.ranges, np.nan)
         if moves is not None:
             ranges[moves] = np.nan
         rising = not len(scan) or self._handed * (scan.angles[-1] - scan.angles[0]) > 0.0
         order = slice(None, None, 1 if rising else -1)
-        return scan.stamp_ns * 1e-9, self._handed * scan.angles[order], ranges[order]
+        return time, self._handed * scan.angles[order], ranges[order]
 
-    def _prepare(self, scan: Scan, labels: Labels) -> tuple[Array, float, float]:
-        start = self._seconds(scan.stamp_ns)
+    def _prepare(self, scan: Scan, labels: Labels, time: float) -> tuple[Array, float, float]:
+        assert self._path is not None
+        start = time + self._path.h       # the spline's clock is one knot ahead of the first scan
         rays = np.empty((len(scan), 5))
         ranges = np.where(scan.valid, scan.ranges, np.inf)
         angles = self._handed * scan.angles
@@ -212,20 +213,36 @@ class StriEstimator:
                              rays)
         return rays[:n], start, start + (float(scan.times.max()) if len(scan) else 0.0)
 
-    def _take(self, scan: Scan, labels: Labels) -> None:
+    def _take(self, scan: Scan, labels: Labels, time: float) -> None:
         assert self._path is not None
-        rays, start, end = self._prepare(scan, labels)
+        rays, start, end = self._prepare(scan, labels, time)
         advances = end > (self._path.step + 1) * self._path.h
         while end > (self._path.step + 1) * self._path.h:
-            self._path.advance()
+            self._path.advance(self._change())
             self._looks |= self._path.step % TAKE_UP_EVERY == 0
         if not advances or self._advanced:      # a slow scanner advances with every scan
             self._take_up()
         self._advanced = advances
         self._path.add(start, end, rays)
         moves = (labels >= 0) & (self._path.trust.weight[labels % LABELS] < MOVES)
-        self._profiles.append(self._profile(scan, moves))
+        self._profiles.append(self._profile(scan, time, moves))
+        while self._profiles[0][0] < self._profiles[-1][0] - RECENT:
+            self._profiles.popleft()
         self._release(self._path.final_until)
+
+    def _change(self) -> Array | None:
+        """Return the scanner's twist as the newest two scans tell it, where scans are rare."""
+        assert self._path is not None
+        if not self._path.slow or len(self._profiles) < 3:
+            return None
+        recent = list(self._profiles)[-3:]
+        now = self._estimate(*self._pending[-1]).twist
+        lags = (0.5 * (recent[-1][0] - recent[-2][0]),)
+        search = SlopeSearch(self._mount, now[0] + CHANGES[0], now[2] + CHANGES[1], 0.0, lags)
+        for profile in recent:
+            search.add(profile)
+        twist, cost = search.best()
+        return self._of_scanner(twist) if cost < search.cost_of(now) - MARGIN else None
 
     def _take_up(self) -> None:
         """
@@ -251,7 +268,7 @@ class StriEstimator:
             return None
         if np.mean([np.isfinite(r).mean() for _, _, r in self._profiles]) < SEEN:
             return None
-        now = self._estimate(self._pending[-1]).twist
+        now = self._estimate(*self._pending[-1]).twist
         reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
         search = SlopeSearch(
             self._mount, now[0] + np.linspace(-reach, reach, 31), now[2] + TURNS)
@@ -265,17 +282,18 @@ class StriEstimator:
         return twist if better else None
 
     def _release(self, until: float) -> None:
-        while self._pending and self._seconds(self._pending[0]) < until:
-            self._refined.append(self._estimate(self._pending.popleft()))
+        assert self._path is not None
+        while self._pending and self._pending[0][1] + self._path.h < until:
+            self._refined.append(self._estimate(*self._pending.popleft()))
 
-    def _estimate(self, stamp_ns: int) -> Estimate:
+    def _estimate(self, stamp_ns: int, time: float) -> Estimate:
         """Return pose and twist of base_link from the path of the scanner."""
         assert self._path is not None
         pose, twist = np.empty(3), np.empty(3)
         pose_covariance, twist_covariance = np.empty((3, 3)), np.empty((3, 3))
         known = self._path.uncertainty
-        of_base(self._path.knots, self._path.h, self._seconds(stamp_ns), known.covariance,
-                known.first, self._mount, self._T_odom_first, pose, pose_covariance, twist,
+        of_base(self._path.knots, self._path.h, time + self._path.h, known.covariance, known.first,
+                self._mount, self._T_odom_first, pose, pose_covariance, twist,
                 twist_covariance)
         sigma = speed_sigma(twist_covariance)
         limit = self.config.degenerate_sigma

@@ -77,8 +77,11 @@ class JointConfig:
 SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
+SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 RESTART = 8           # knot intervals laid anew when the motion is taken up again
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
+# Residuals of one surface repeat the same error in every pair; this many count as one.
+DILUTION, SLOW_DILUTION = 60.0, 20.0
 FADING = 0.7          # of acceleration from knot to knot where the path is extrapolated
 
 
@@ -113,6 +116,7 @@ class JointPath:
         self.error = RangeError()
         self.trust = Trust()
         self.window = Window(spacing, angle_step, config.lags, config.distances, config.active)
+        self.slow = spacing > SLOW
         self._start = 0           # knot at which the motion was taken up
         self._forward = forward
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
@@ -136,17 +140,36 @@ class JointPath:
         self._fit(0, last, min(times, default=np.inf), START_SCALES, START_ITERATIONS)
         self.first = max(0, last + 1 - self.config.active)
 
-    def advance(self) -> None:
-        """Extend the path by one knot interval, for which all scans must have been added."""
+    def advance(self, twist: Array | None = None) -> None:
+        """
+        Extend the path by one knot interval, for which all scans must have been added.
+
+        Parameters
+        ----------
+        twist
+            (3,) of the scanner in its own frame to start the fit from; the last one if None.
+
+        """
         self.step += 1
         last = self.step + 3
         if last + 4 > len(self.knots):
             self.knots = np.concatenate([self.knots, np.zeros_like(self.knots)])
         self.knots[last - 1] = 2.0 * self.knots[last - 2] - self.knots[last - 3]
+        if twist is not None:
+            self._lay(twist)
         self.first = max(0, last - self.config.active)
         self.window.forget((self.first - 3) * self.h)
         newest = self._keyframe(self.step)
         self._fit(self.first, last, newest, SCALES, self.config.iterations)
+
+    def _lay(self, twist: Array) -> None:
+        """Lay the newest two knots so that the newest interval is left with a twist."""
+        last = self.step + 3
+        end = geometry.compose(self.pose((self.step - 1) * self.h), geometry.exp(twist * self.h))
+        velocity = geometry.compose([0.0, 0.0, end[2]], twist) - [0.0, 0.0, end[2]]
+        knots = self.knots
+        knots[last - 1] = knots[last - 3] + 2.0 * self.h * velocity
+        knots[last - 2] = 0.25 * (6.0 * end - knots[last - 3] - knots[last - 1])
 
     def restart(self, twist: Array) -> None:
         """
@@ -246,5 +269,11 @@ class JointPath:
             self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
             newest, iterations, self._jerk, self._acceleration, self._straight, self.error.value,
-            np.where(self.trust.weight < MOVES, 0.0, self.trust.weight), self._forward,
-            self.trust.votes)
+            self._weights(), self._forward,
+            self.trust.votes, SLOW_DILUTION if self.slow else DILUTION)
+
+    def _weights(self) -> Array:
+        """Return the weight of each surface by number, one of scans too rare to follow any."""
+        if self.slow:
+            return np.ones(len(self.trust.weight))
+        return np.where(self.trust.weight < MOVES, 0.0, self.trust.weight)

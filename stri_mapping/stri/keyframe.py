@@ -34,8 +34,9 @@ NOISE_RANGE = 40.0
 GRAZING = 0.2              # metres of range from ray to ray: the footprint's near side is seen
 GRAZING_FITTED = 0.3
 STEP, STEP_PER_RANGE = 0.12, 0.01
-WINDOWS = (0.8, 0.4, 0.2, 0.1)
-MIN_POINTS = 6
+SPARSE = 500               # rays of a keyframe below which the widest window and few points serve
+WINDOWS = (1.6, 0.8, 0.4, 0.2, 0.1)
+MIN_POINTS, MIN_POINTS_SPARSE = 6, 3
 MIN_VARIANCE = 0.03 ** 2
 HEAD_ON = 0.9
 SIGHT_ONLY = 2.0
@@ -150,13 +151,14 @@ def build(
     runs = _runs(xy)
     sums = _running_sums(xy, lone)
     low, high = np.empty((len(WINDOWS), n), np.int32), np.empty((len(WINDOWS), n), np.int32)
-    for w in range(len(WINDOWS)):
+    sparse = n < SPARSE
+    for w in range(0 if sparse else 1, len(WINDOWS)):
         _neighbours(xy, runs, WINDOWS[w], low[w], high[w])
     count = 0
     for i in range(0, n, stride):
         if count == len(surfels):
             break
-        if _fit(i, xy, lone, sums, low, high, angle_step, surfels[count]):
+        if _fit(i, xy, lone, sums, low, high, sparse, angle_step, surfels[count]):
             surfels[count, S_BEARING] = bearings[order[i]]
             surfels[count, S_LABEL] = rays[order[i], LABEL]
             count += 1
@@ -236,17 +238,17 @@ def _far(xy: Array, i: int, j: int, width: float) -> bool:
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _fit(
     i: int, xy: Array, lone: Array, sums: Array, low: NDArray[np.int32],
-    high: NDArray[np.int32], angle_step: float, surfel: Array,
+    high: NDArray[np.int32], sparse: bool, angle_step: float, surfel: Array,
 ) -> bool:
     """Write the surfel of point i from the widest window that holds one straight line."""
     x, y = xy[i, 0], xy[i, 1]
     r = math.hypot(x, y)
     sigma = NOISE * (1.0 + r / NOISE_RANGE)
     kind = 0 if lone[i] == 1.0 else 1
-    for w in range(low.shape[0]):
+    for w in range(0 if sparse else 1, low.shape[0]):
         a, b = sums[kind, low[w, i]], sums[kind, high[w, i]]
         m = b[0] - a[0]
-        if m < MIN_POINTS:
+        if m < (MIN_POINTS_SPARSE if sparse else MIN_POINTS):
             return False
         mx, my = (b[1] - a[1]) / m, (b[2] - a[2]) / m
         xx, yy = (b[3] - a[3]) / m - mx * mx, (b[4] - a[4]) / m - my * my

@@ -43,22 +43,24 @@ class SlopeSearch:
         between them.
     every
         Seconds between scans that later ones are predicted from.
+    lags
+        Seconds after which, at the least.
 
     """
 
     def __init__(
         self, mount: Array, speeds: Array = SPEEDS, turn_rates: Array = TURN_RATES,
-        every: float = 0.08,
+        every: float = 0.08, lags: tuple[float, ...] = LAGS,
     ) -> None:
         """Start with no scan."""
-        self._mount, self._every = mount, every
+        self._mount, self._every, self._lags = mount, every, lags
         self._speeds, self._turn_rates = speeds, turn_rates
         self._total = np.zeros((len(speeds), len(turn_rates)))
         self._weight = np.zeros_like(self._total)
         self._profiles: list[Profile] = []
         self._pairs: list[tuple[int, int]] = []
         self._anchors: list[int] = []            # scans that later ones are predicted from
-        self._next = [0] * len(LAGS)             # anchor due next, for each lag
+        self._next = [0] * len(lags)             # anchor due next, for each lag
 
     def add(self, profile: Profile) -> None:
         """
@@ -84,7 +86,7 @@ class SlopeSearch:
     def _due(self, t: float) -> list[int]:
         """Return the anchors from which a scan at a time is to be predicted."""
         found = set()
-        for n, lag in enumerate(LAGS):
+        for n, lag in enumerate(self._lags):
             begin = self._next[n]
             while (self._next[n] < len(self._anchors)
                     and self._profiles[self._anchors[self._next[n]]][0] + lag <= t):

@@ -24,8 +24,6 @@ Index = NDArray[np.int64]
 RESIDUALS = 100   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
 STOP = 2e-4                       # metres or radians: the fit has converged
-# Residuals of one surface repeat the same error in every pair; this many count as one.
-DILUTION = 60.0
 ANCHOR = 1e8
 TAIL = 2.0                # standard deviations beyond which a jerk is taken as it comes
 VOTES = 1.2        # seconds between keyframes whose comparison tells what moves
@@ -39,7 +37,7 @@ def solve(
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
     jerk: Array, acceleration: Array, straight: Array, pull: float, trust: Array,
-    forward: Array, votes: Array,
+    forward: Array, votes: Array, dilution: float,
 ) -> None:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -63,6 +61,8 @@ def solve(
         (3,) prior information of third, second and first differences of the coefficients.
     pull, trust, forward, votes
         See `pairs.linearise`; neighbours in time among the newest pairs vote.
+    dilution
+        Residuals that count as one.
 
     """
     n = last - first
@@ -72,7 +72,8 @@ def solve(
         scale, final = scales[min(i, len(scales) - 1)], scales[-1]
         _add_pairs(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
-            bins, scale, final, newest, pull, trust, forward, votes, information, slope)
+            bins, scale, final, len(scales) - 1, newest, pull, trust, forward, votes,
+            dilution, information, slope)
         add_prior(knots, first, last, start, THIRD, jerk, TAIL, information, slope)
         add_prior(knots, first, last, start, FIRST, straight, np.inf, information, slope)
         add_prior(knots, first, last, start, SECOND, acceleration, np.inf, information, slope)
@@ -94,8 +95,9 @@ def solve(
 def _add_pairs(
     knots: Array, h: float, first: int, ends: Index, z: Array, hessian: Array, gradient: Array,
     passes: Index, time: Array, pose: Array, surfels: Array, counts: Index,
-    bins: NDArray[np.int32], scale: float, final: float, newest: float, pull: float,
-    trust: Array, forward: Array, votes: Array, information: Array, slope: Array,
+    bins: NDArray[np.int32], scale: float, final: float, annealed: int, newest: float,
+    pull: float, trust: Array, forward: Array, votes: Array, dilution: float, information: Array,
+    slope: Array,
 ) -> None:
     weights_a, weights_b = np.empty(4), np.empty(4)
     now, shift, g = np.empty(3), np.empty(3), np.empty(3)
@@ -114,7 +116,7 @@ def _add_pairs(
         new = max(time[a], time[b]) >= newest
         moved = abs(now[0] - z[p, 0]) + abs(now[1] - z[p, 1]) > MOVED
         turned = abs(now[2] - z[p, 2]) > TURNED
-        if passes[p] == 0 or moved or turned or (new and passes[p] < 3):
+        if passes[p] == 0 or moved or turned or (new and passes[p] < annealed):
             stride = max(1, counts[a] // RESIDUALS)
             linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
@@ -129,7 +131,7 @@ def _add_pairs(
             g[d] = (gradient[p, d] + hessian[p, d, 0] * shift[0] + hessian[p, d, 1] * shift[1]
                     + hessian[p, d, 2] * shift[2])
         add_pair(ka - first, kb - first, weights_a, weights_b, pose[b], now, hessian[p], g,
-                 1.0 / DILUTION, blocks, information, slope)
+                 1.0 / dilution, blocks, information, slope)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
