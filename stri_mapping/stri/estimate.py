@@ -121,6 +121,6 @@ def of_base(
 
 
 def speed_sigma(twist_covariance: Array) -> float:
-    """Return the standard deviation in m/s of a twist's velocity in its least certain direction."""
+    """Return the standard deviation in m/s of a twist's velocity where it is least certain."""
     a, b, o = twist_covariance[0, 0], twist_covariance[1, 1], twist_covariance[0, 1]
     return math.sqrt(max(0.5 * (a + b) + math.hypot(0.5 * (a - b), o), 0.0))

@@ -151,8 +151,9 @@ class StriEstimator:
             self._start()
         if self._path is None:
             return
-        while self._pending and self._path.step * self._path.h <= self._pending[-1][1] + self._path.h:
-            self._path.advance()
+        path = self._path
+        while self._pending and (path.step - 1) * path.h <= self._pending[-1][1]:
+            path.advance()
         self._release(np.inf)
 
     def _spacing(self) -> float:

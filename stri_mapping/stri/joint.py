@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping import geometry
-from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.estimate import of_base, speed_sigma
+from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at

@@ -16,7 +16,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import bearing_bin, NORMAL_VAR, NX, NY, PULL, S_BEARING, S_LABEL, X, Y
+from stri_mapping.stri.keyframe import (
+    bearing_bin,
+    NORMAL_VAR,
+    NX,
+    NY,
+    PULL,
+    S_BEARING,
+    S_LABEL,
+    X,
+    Y,
+)
 
 Array = NDArray[np.float64]
 
@@ -156,17 +166,27 @@ def _partner(
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _clamp(hessian: Array, gradient: Array) -> None:
-    """Remove the direction of translation in which there is no more information than noise."""
+    """
+    Remove the direction of translation in which there is no more information than noise.
+
+    What is left of the rotation is at least what the rest implies: no direction may come to know
+    less than nothing.
+    """
     a, b, o = hessian[0, 0], hessian[1, 1], hessian[0, 1]
+    p, q = hessian[0, 2], hessian[1, 2]
     mean, spread = 0.5 * (a + b), math.sqrt(0.25 * (a - b) ** 2 + o * o)
     if mean - spread >= 1e-3 * max(mean + spread, 1e-9):
+        implied = (b * p * p - 2.0 * o * p * q + a * q * q) / (a * b - o * o)
+        hessian[2, 2] = max(hessian[2, 2], implied)
         return
     angle = 0.5 * math.atan2(2.0 * o, a - b)
     nx, ny = math.cos(angle), math.sin(angle)
     strong = max(mean + spread, 0.0)
     hessian[0, 0], hessian[0, 1], hessian[1, 1] = (
         strong * nx * nx, strong * nx * ny, strong * ny * ny)
-    cross = hessian[0, 2] * nx + hessian[1, 2] * ny
+    cross = p * nx + q * ny
     hessian[0, 2], hessian[1, 2] = cross * nx, cross * ny
+    if strong > 0.0:
+        hessian[2, 2] = max(hessian[2, 2], cross * cross / strong)
     slope = gradient[0] * nx + gradient[1] * ny
     gradient[0], gradient[1] = slope * nx, slope * ny

@@ -33,7 +33,8 @@ def slopes(u: float, h: float, out: Array) -> None:
     """Write the four weights of the derivative at fraction u of a knot interval."""
     first, last = 0.5 * (1.0 - u) ** 2, 0.5 * u * u
     middle = 1.0 - first - last
-    out[0], out[1], out[2], out[3] = -first / h, (first - middle) / h, (middle - last) / h, last / h
+    out[0], out[1] = -first / h, (first - middle) / h
+    out[2], out[3] = (middle - last) / h, last / h
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

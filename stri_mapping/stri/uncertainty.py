@@ -26,8 +26,8 @@ Index = NDArray[np.int64]
 
 WINDOW = 16
 # A pair's residuals are not independent of one another nor of other pairs': so many count as
-# one.  With this, errors of 1 s along the columns drive are half of what is stated.
-DILUTION = 15.0
+# one.  With this, errors over 1 s of drives without mishap are about what is stated.
+DILUTION = 40.0
 # What a vehicle does when nobody looks, standard deviations: m/s^2 and rad/s^2.
 JERK, ANGULAR_JERK = 6.0, 3.0
 ACCELERATION, ANGULAR_ACCELERATION = 1.5, 1.5
