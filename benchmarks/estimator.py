@@ -7,11 +7,15 @@ Judged at the horizontal scanner in the plane, its true path from the full six d
 freedom: pitch moves a scanner 1.2 m up against base_link, and that is motion it rightly sees.
 
     python benchmarks/estimator.py street corner --seeds 1 2 3
+    python benchmarks/estimator.py campus street --seeds 1 --ablate
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
+import itertools
 import time
 
 import numpy as np
@@ -28,6 +32,7 @@ from stri_mapping.trajectory import Trajectory
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Vehicle
 
 Array = NDArray[np.float64]
+VEHICLE = load_vehicle(default_vehicle_file())
 SCENES = ('campus', 'street', 'corner', 'reverse', 'stops', 'bare_wall')
 COLUMNS = ('drift_percent', 'heading_end_deg', 'velocity_rmse_mps', 'speed_error_worst_percent',
            'standing_speed_max_mps')
@@ -63,18 +68,57 @@ def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
     return Trajectory(stamps, poses), taken, blind
 
 
-def run(scene: str, seed: int, config: EstimatorConfig) -> tuple[dict[str, float], list[float]]:
+def make(scene: str, seed: int) -> tuple[list[Scan], Trajectory]:
+    """Return the horizontal scans of a drive, and the scanner's true path."""
+    drive = make_drive(scene, Options(seed), vehicle=Vehicle((VEHICLE.horizontal,)))
+    return [timed.scan for timed in drive.scans()], scanner_truth(drive)
+
+
+def polynomial(path: Trajectory) -> Trajectory:
+    """Return a path forced through one polynomial of 6th degree, as the paper draws it."""
+    t = (path.stamps_ns - path.stamps_ns[0]) / np.ptp(path.stamps_ns)
+    powers = np.polynomial.polynomial.polyfit(t, path.poses, 6)
+    return Trajectory(path.stamps_ns, np.polynomial.polynomial.polyval(t, powers).T)
+
+
+def run(
+    scans: list[Scan], truth: Trajectory, config: EstimatorConfig,
+    shape: Callable[[Trajectory], Trajectory] = lambda path: path,
+) -> tuple[dict[str, float], list[float]]:
     """Return the figures of one drive by name, and the seconds of every scan."""
-    vehicle = load_vehicle(default_vehicle_file())
-    alone = Vehicle((vehicle.horizontal,))
-    drive = make_drive(scene, Options(seed), vehicle=alone)
-    scans = [timed.scan for timed in drive.scans()]
-    path, taken, blind = estimate(scans, vehicle.horizontal.T_base_laser, config)
-    truth = scanner_truth(drive)
+    path, taken, blind = estimate(scans, VEHICLE.horizontal.T_base_laser, config)
+    path = shape(path)
     metrics = {m.name: m.value for m in (*path_metrics(path, truth), *speed_metrics(path, truth))}
     figures = {name: np.nan if metrics[name] is None else float(metrics[name] or 0.0)
                for name in COLUMNS}
     return {**figures, 'blind_s': blind}, taken
+
+
+def ablate(scene: str, seed: int) -> None:
+    """Print a row for the estimator without each of its parts."""
+    scans, truth = make(scene, seed)
+    full = EstimatorConfig()
+    pairwise = JointConfig(active=4, lags=(1,), distances=())
+    frozen = [replace(scan, times=np.zeros(len(scan))) for scan in scans]
+    forms = {
+        'pairwise only': run(scans, truth, EstimatorConfig(joint=pairwise)),
+        'no segmentation': run(
+            scans, truth, EstimatorConfig(joint=JointConfig(judge_surfaces=False))),
+        'no per-ray time': run(frozen, truth, full),
+        'footprint not learnt': run(
+            scans, truth, EstimatorConfig(joint=JointConfig(learn_error=False))),
+        'single polynomial': run(scans, truth, full, polynomial),
+        'full': run(scans, truth, full),
+    }
+    for name, (figures, taken) in forms.items():
+        row(f'{scene} {seed}, {name}', figures, taken)
+
+
+def row(name: str, figures: dict[str, float], taken: list[float]) -> None:
+    """Print one row of the table."""
+    values = ' | '.join('-' if np.isnan(v) else f'{v:.3g}' for v in figures.values())
+    print(f'| {name} | {values} | {1e3 * np.mean(taken):.2f} ({1e3 * max(taken):.0f}) |',
+          flush=True)
 
 
 def main() -> None:
@@ -84,21 +128,24 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--no-range-error', action='store_true',
                         help='do not learn the pull of slanted footprints')
+    parser.add_argument('--ablate', action='store_true',
+                        help='rows without each part of the estimator')
     args = parser.parse_args()
     config = EstimatorConfig(joint=JointConfig(learn_error=not args.no_range_error))
     StriEstimator(np.eye(4), config).warm_up()
     print('| drive | drift % | heading deg | velocity rmse m/s | worst speed % | standing m/s '
           '| not observable s | ms a scan, mean (longest) |\n|---|---|---|---|---|---|---|---|')
     drifts = []
-    for scene in args.scenes:
-        for seed in args.seeds:
-            figures, taken = run(scene, seed, config)
-            drifts.append(figures['drift_percent'])
-            values = ' | '.join('-' if np.isnan(v) else f'{v:.3g}' for v in figures.values())
-            print(f'| {scene} {seed} | {values} | {1e3 * np.mean(taken):.2f} '
-                  f'({1e3 * max(taken):.0f}) |', flush=True)
-    print(f'\ndrift of {len(drifts)} drives: median {np.median(drifts):.2f} %, '
-          f'95th percentile {np.percentile(drifts, 95):.2f} %')
+    for scene, seed in itertools.product(args.scenes, args.seeds):
+        if args.ablate:
+            ablate(scene, seed)
+            continue
+        figures, taken = run(*make(scene, seed), config)
+        drifts.append(figures['drift_percent'])
+        row(f'{scene} {seed}', figures, taken)
+    if drifts:
+        print(f'\ndrift of {len(drifts)} drives: median {np.median(drifts):.2f} %, '
+              f'95th percentile {np.percentile(drifts, 95):.2f} %')
 
 
 if __name__ == '__main__':

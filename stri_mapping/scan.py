@@ -73,9 +73,9 @@ class Scan:
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (n,) of the rays that measured something (the polarity of REP-117)."""
-        return (self.range_min <= self.ranges) & (self.ranges <= self.range_max) & np.isfinite(
-            self.ranges)
+        """Mask (n,) of the rays that measured something (REP-117); a length of 0 is nothing."""
+        return ((self.range_min <= self.ranges) & (self.ranges <= self.range_max)
+                & (self.ranges > 0.0) & np.isfinite(self.ranges))
 
     @property
     def end_ns(self) -> int:

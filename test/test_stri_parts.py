@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator's parts: surfaces, spline, lines, residuals, proposals, trust, range error."""
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs
+from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import SlopeSearch
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
@@ -280,3 +283,59 @@ def test_the_range_image_slides_and_the_log_thins(tmp_path):
         assert 50 <= len(image['stamps_ns']) <= 100
         assert image['ranges'].shape == image['segments'].shape == (len(image['stamps_ns']), 181)
         assert image['stamps_ns'][-1] > 0.9 * 999 * 13_320_000
+
+
+def test_base_link_and_its_covariance_follow_from_the_spline_of_the_scanner():
+    rng = np.random.default_rng(11)
+    knots = np.cumsum(rng.normal([0.8, 0.0, 0.05], [0.05, 0.05, 0.02], (12, 3)), axis=0)
+    mount, origin, h, t = np.array([0.4, -1.1, 1.2]), np.array([3.0, -2.0, 0.7]), 0.1, 0.537
+    root = rng.normal(0.0, 0.01, (36, 36))
+    covariance = root @ root.T
+
+    def base(knots):
+        out = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+        of_base(knots, h, t, covariance, 0, mount, origin, *out)
+        return out
+
+    pose, pose_covariance, twist, twist_covariance = base(knots)
+    sensor, step = np.empty(3), np.empty(3)
+    pose_at(knots, h, t, np.empty(4), sensor)
+    np.testing.assert_allclose(
+        pose, geometry.compose(origin, geometry.compose(sensor, geometry.inverse(mount))))
+    # the twist is the way to the pose a moment later
+    pose_at(knots, h, t + 1e-6, np.empty(4), step)
+    later = geometry.compose(origin, geometry.compose(step, geometry.inverse(mount)))
+    np.testing.assert_allclose(
+        twist, 1e6 * geometry.compose(geometry.inverse(pose), later), atol=1e-4)
+    # covariances are those of small changes of the knots, by differences
+    J_pose, J_twist = np.empty((3, 36)), np.empty((3, 36))
+    for i in range(36):
+        change = np.zeros(36)
+        change[i] = 1e-6
+        moved = base(knots + change.reshape(12, 3))
+        J_pose[:, i], J_twist[:, i] = (moved[0] - pose) / 1e-6, (moved[2] - twist) / 1e-6
+    np.testing.assert_allclose(pose_covariance, J_pose @ covariance @ J_pose.T, rtol=1e-3)
+    np.testing.assert_allclose(
+        twist_covariance, J_twist @ covariance @ J_twist.T, rtol=1e-3, atol=1e-6)
+    assert speed_sigma(twist_covariance) == pytest.approx(
+        np.sqrt(np.linalg.eigvalsh(twist_covariance[:2, :2])[-1]))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=50)
+def test_no_pair_knows_less_than_nothing(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3.0, 3.0, 3)
+    hessian, gradient = root.T @ root, rng.normal(size=3)
+    hessian[:2, :2] -= rng.uniform(0.0, 1.2) * np.linalg.eigvalsh(hessian[:2, :2])[0] * np.eye(2)
+    pairs._clamp(hessian, gradient)
+    full = np.triu(hessian) + np.triu(hessian, 1).T
+    size = np.abs(full).max()
+    assert np.linalg.eigvalsh(full)[0] > -1e-9 * size
+
+
+def test_a_ray_of_no_length_is_no_surface():
+    ranges = np.full(181, 5.0)
+    ranges[[0, 90, 91]] = 0.0
+    labels = Segmenter().segment(Scan(0, ranges, ANGLES, np.zeros(181)))
+    assert (labels[[0, 90, 91]] == -1).all() and (labels[1:90] >= 0).all()

@@ -55,6 +55,9 @@ class JointConfig:
         Of Gauss-Newton, at most, for each new knot.
     learn_error
         Whether the pull of slanted footprints is learnt and corrected.
+    judge_surfaces
+        Whether moving objects are told and left out as wholes; where scans are too rare to
+        follow surfaces it is not done in any case.
 
     """
 
@@ -71,6 +74,7 @@ class JointConfig:
     start_steps: int = 8
     iterations: int = 7
     learn_error: bool = True
+    judge_surfaces: bool = True
 
 
 # Geman-McClure scales in metres, of a fit's iterations and of the first fit's.
@@ -274,6 +278,6 @@ class JointPath:
 
     def _weights(self) -> Array:
         """Return the weight of each surface by number, one of scans too rare to follow any."""
-        if self.slow:
+        if self.slow or not self.config.judge_surfaces:
             return np.ones(len(self.trust.weight))
         return np.where(self.trust.weight < MOVES, 0.0, self.trust.weight)

@@ -48,8 +48,7 @@ class Segmenter:
         Parameters
         ----------
         scan
-            Any scan; rays that are not valid, or of no length, belong to no surface and end the
-            one before.
+            Any scan; rays that are not valid belong to no surface and end the one before.
 
         Returns
         -------
@@ -57,7 +56,7 @@ class Segmenter:
             (n,) number of the surface each ray met, `UNLABELLED` for rays on none.
 
         """
-        ranges = np.where(scan.valid & (scan.ranges > 0.0), scan.ranges, np.nan)
+        ranges = np.where(scan.valid, scan.ranges, np.nan)
         pieces = np.empty(len(scan), dtype=np.int32)
         _segment(ranges, scan.angles, pieces)
         if len(self._ranges) != len(ranges):
