@@ -134,6 +134,9 @@ class StriEstimator:
             self._search.add(self._profile(scan, time))
             if not self._ready():
                 return None
+            if self._found is None:             # the fit goes with the next scan
+                self._found, _ = self._search.best()
+                return None
             self._start()
         else:
             self._path.trust.add(self._segmenter.surfaces)
@@ -168,7 +171,9 @@ class StriEstimator:
 
     def _start(self) -> None:
         """Read the first speed from the slope of the range image, then fit the scans kept."""
-        twist, _ = self._search.best()
+        twist, self._found = self._found, None
+        if twist is None:
+            twist, _ = self._search.best()
         angles = self._starting[0][0].angles
         step = float(abs(angles[1] - angles[0]))
         self._path = path = JointPath(

@@ -142,7 +142,8 @@ class JointPath:
         self.knots[:last] = geometry.exp(np.arange(last)[:, None] * self.h * twist)
         times = [t for k in range(2, self.step + 1) if (t := self._keyframe(k)) < np.inf]
         self._fit(0, last, min(times, default=np.inf), START_SCALES, START_ITERATIONS)
-        self.first = max(0, last + 1 - self.config.active)
+        # the first pose is where odom begins: it is final with the first fit
+        self.first = max(4, last + 1 - self.config.active)
 
     def advance(self, twist: Array | None = None) -> None:
         """
@@ -161,7 +162,7 @@ class JointPath:
         self.knots[last - 1] = 2.0 * self.knots[last - 2] - self.knots[last - 3]
         if twist is not None:
             self._lay(twist)
-        self.first = max(0, last - self.config.active)
+        self.first = max(self.first, last - self.config.active)
         self.window.forget((self.first - 3) * self.h)
         newest = self._keyframe(self.step)
         self._fit(self.first, last, newest, SCALES, self.config.iterations)

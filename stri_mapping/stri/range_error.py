@@ -22,9 +22,9 @@ from stri_mapping.stri.keyframe import NX, NY, PULL, X, Y
 
 Array = NDArray[np.float64]
 
-# Before any wall is seen, 1/m: nothing known but that it is small.  A wide beam (11.9 mrad) gave
+# Before any wall is seen, 1/m: little is known.  A wide beam (11.9 mrad) gave
 # 4e-5 on a real street, a narrow one less.
-MEAN, SIGMA = 0.5e-5, 3e-5
+MEAN, SIGMA = 1.5e-5, 8e-5
 MEMORY = 200.0        # metres of path over which walls are remembered
 SAME_WALL = 15.0      # keyframes see the same wall again and again: so many count as one
 WALLS = 3             # looked for in a keyframe

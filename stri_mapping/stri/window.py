@@ -169,6 +169,8 @@ class Window:
 
     def seen_through(self, rays: Array, knots: Array, votes: Array) -> None:
         """Count, by label, what came to or left a place through which another keyframe sees."""
+        if not self.order:
+            return
         f, z = self.frames, np.empty(3)
         newest = self.order[-1]
         for lag in SEEN_THROUGH:
