@@ -20,7 +20,7 @@ from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 pytestmark = live.needs_ros
 
 T0, PERIOD = 1_767_225_600_000_000_000, 13_320_000
-SCANS = 150
+SCANS = 400
 
 
 def estimates() -> list[Estimate]:

@@ -84,20 +84,22 @@ class Attitude:
 def _evaluate(  # type: ignore[no-untyped-def]
     stamps, start, knots, sigma, attitude, told,
 ):
-    weights = np.empty(4)
+    weights, k = np.empty(4), 0
+    roll, pitch = False, False
     for i in range(len(stamps)):
         since = stamps[i] - start
-        k = min(since // KNOT_NS, len(knots) - 4)
+        if i == 0 or not 0 <= since - k * KNOT_NS < KNOT_NS:
+            k = max(min(since // KNOT_NS, len(knots) - 4), 0)
+            roll = max(sigma[k + 1, 0], sigma[k + 2, 0]) < OBSERVED
+            pitch = max(sigma[k + 1, 1], sigma[k + 2, 1]) < OBSERVED
         u = (since - k * KNOT_NS) / KNOT_NS
-        if since < 0 or u > 1.0:
+        if not 0.0 <= u <= 1.0:
             continue
         basis(u, weights)
         for m in range(3):
-            attitude[i, m] = 0.0
-            for j in range(4):
-                attitude[i, m] += weights[j] * knots[k + j, m]
-        for m in range(2):
-            told[i, m] = max(sigma[k + 1, m], sigma[k + 2, m]) < OBSERVED
+            attitude[i, m] = (weights[0] * knots[k, m] + weights[1] * knots[k + 1, m]
+                              + weights[2] * knots[k + 2, m] + weights[3] * knots[k + 3, m])
+        told[i, 0], told[i, 1] = roll, pitch
 
 
 @numba.njit(cache=True)
@@ -176,8 +178,7 @@ class AttitudeSmoother:
                     self._knots.information[newest, newest], self._knots.vector[newest])
         self.intervals += 1
         self._knots.solve()
-        deviation = np.sqrt(np.diag(self._knots.covariance)[-STATE:])
-        self._doubt = deviation[[CROSSFALL, SLOPE]]
+        self._doubt = self._knots.deviation(-1)[[CROSSFALL, SLOPE]]
         if self.intervals - self._forgotten - len(self._fixed) > LAG:
             self._fix_oldest()
 

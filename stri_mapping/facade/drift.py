@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-import math
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.facade.angles import heading
 from stri_mapping.facade.knots import Knots
 from stri_mapping.facade.patches import Patches
 from stri_mapping.facade.points import concatenate, FacadePoints
@@ -198,7 +198,7 @@ class DriftCorrector:
 @numba.njit(cache=True)
 def _moved(xyz, poses, since, before, after):  # type: ignore[no-untyped-def]
     """Return points turned about the vehicle and moved to its left, between two knots."""
-    out = np.empty_like(xyz)
+    out, known = np.empty_like(xyz), np.full(3, np.nan)
     for i in range(len(xyz)):
         share = min(since[i] / KNOT_NS, 1.0)
         across = before[0] + share * (after[0] - before[0])
@@ -206,8 +206,9 @@ def _moved(xyz, poses, since, before, after):  # type: ignore[no-untyped-def]
         x, y = xyz[i, 0] - poses[i, 0], xyz[i, 1] - poses[i, 1]
         # a turn of 2 milliradians: the sine is good to 2e-9
         c, s = 1.0 - 0.5 * turn * turn, turn
-        out[i, 0] = poses[i, 0] + c * x - s * y - across * math.sin(poses[i, 2])
-        out[i, 1] = poses[i, 1] + s * x + c * y + across * math.cos(poses[i, 2])
+        cy, sy = heading(poses[i, 2], known)
+        out[i, 0] = poses[i, 0] + c * x - s * y - across * sy
+        out[i, 1] = poses[i, 1] + s * x + c * y + across * cy
         out[i, 2] = xyz[i, 2]
     return out
 

@@ -17,6 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.facade.angles import heading
 from stri_mapping.facade.points import Rays
 
 Array = NDArray[np.float64]
@@ -51,11 +52,11 @@ class FreeSpace:
     def __init__(self, origins: Array) -> None:
         """Begin with nothing known."""
         self._origins = np.ascontiguousarray(origins)
-        self._free = np.zeros((SIZE, SIZE), np.uint16)
-        self._hits = np.zeros((SIZE, SIZE), np.uint16)
-        self._seen_ns = np.full((SIZE, SIZE), -(1 << 62), np.int64)
+        self._free = np.zeros(SIZE * SIZE, np.uint16)
+        self._hits = np.zeros(SIZE * SIZE, np.uint16)
+        self._seen_ns = np.full(SIZE * SIZE, -(1 << 62), np.int64)
         self._moved_ns = self._seen_ns.copy()
-        self._latest_ns = self._moved_ns[0, :1].copy()      # of all cells
+        self._latest_ns = self._moved_ns[:1].copy()         # of all cells
 
     def moving(self, rays: Rays) -> NDArray[np.bool_]:
         """Take the next rays; return which (n,) hit something that was not there before."""
@@ -68,7 +69,7 @@ class FreeSpace:
 def _moving(  # type: ignore[no-untyped-def]
     base, poses, stamps, ring, first, origins, free, hits, seen, moved, latest,
 ):
-    found = np.zeros(len(base), np.bool_)
+    found, known = np.zeros(len(base), np.bool_), np.full(3, np.nan)
     line = 0
     for i in range(len(base)):
         while i >= first[line + 1]:
@@ -76,18 +77,18 @@ def _moving(  # type: ignore[no-untyped-def]
         z, top = base[i, 2], origins[ring[i], 2]
         if z > TALL and stamps[i] - latest[0] > ABOVE_NS:
             continue
-        cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        cos, sin = heading(poses[i, 2], known)
         x = poses[i, 0] + cos * base[i, 0] - sin * base[i, 1]
         y = poses[i, 1] + sin * base[i, 0] + cos * base[i, 1]
         if z > LOW:
-            a, b = int(math.floor(x / CELL)) & (SIZE - 1), int(math.floor(y / CELL)) & (SIZE - 1)
+            cell = _cell(x / CELL, y / CELL)
             if z > TALL:
                 # what is above a thing that moves is part of it; else a balcony, or leaves
-                found[i] = stamps[i] - moved[a, b] < ABOVE_NS
-            elif _was_free(free, hits, seen, a, b, stamps[i]):
-                found[i], moved[a, b], latest[0] = True, stamps[i], stamps[i]
+                found[i] = stamps[i] - moved[cell] < ABOVE_NS
+            elif _was_free(free, hits, seen, cell, stamps[i]):
+                found[i], moved[cell], latest[0] = True, stamps[i], stamps[i]
             else:
-                _count(hits, free, seen, a, b, stamps[i])
+                _count(hits, free, seen, cell, stamps[i])
         # every other ray of a line is enough to tell that cells are free
         if z >= HIGH or top <= HIGH or (i - first[line]) % 2:
             continue
@@ -100,40 +101,48 @@ def _moving(  # type: ignore[no-untyped-def]
         steps = int((end - begin) * out / CELL) + 1
         if end <= begin:
             continue
-        ahead, left = cos * dx - sin * dy, sin * dx + cos * dy
-        last_a, last_b = -1, -1
+        # in cells, from the middle of the first step
+        ahead, left = (cos * dx - sin * dy) / CELL, (sin * dx + cos * dy) / CELL
+        step, stamp, last = (end - begin) / steps, stamps[i], -1
+        back = 1.0 - begin - 0.5 * step
+        p, q = x / CELL - back * ahead, y / CELL - back * left
+        ahead, left = step * ahead, step * left
         for k in range(steps):
-            back = 1.0 - (begin + (end - begin) * (k + 0.5) / steps)
-            a = int(math.floor((x - back * ahead) / CELL)) & (SIZE - 1)
-            b = int(math.floor((y - back * left) / CELL)) & (SIZE - 1)
-            if a != last_a or b != last_b:
-                _count(free, hits, seen, a, b, stamps[i])
-                last_a, last_b = a, b
+            cell = _cell(p + k * ahead, q + k * left)
+            if cell != last:
+                _count(free, hits, seen, cell, stamp)
+                last = cell
     return found
 
 
+@numba.njit(cache=True, inline='always')
+def _cell(p, q):  # type: ignore[no-untyped-def]
+    """Return the number of the cell at a place in cells; the grid wraps around."""
+    return ((int(math.floor(p)) & (SIZE - 1)) * SIZE) + (int(math.floor(q)) & (SIZE - 1))
+
+
 @numba.njit(cache=True)
-def _was_free(free, hits, seen, a, b, stamp):  # type: ignore[no-untyped-def]
+def _was_free(free, hits, seen, cell, stamp):  # type: ignore[no-untyped-def]
     """
     Return whether a cell was free, and the eight around it too.
 
     Cells at the edge of what stands still are half free; what moves comes to open street.
     """
-    total = 0
+    a, b, total = cell // SIZE, cell % SIZE, 0
     for i in range(-1, 2):
         for j in range(-1, 2):
-            p, q = (a + i) & (SIZE - 1), (b + j) & (SIZE - 1)
-            total += hits[p, q]
-            if free[p, q] < ENOUGH or stamp - seen[p, q] > FORGET_NS:
+            near = ((a + i) & (SIZE - 1)) * SIZE + ((b + j) & (SIZE - 1))
+            total += hits[near]
+            if free[near] < ENOUGH or stamp - seen[near] > FORGET_NS:
                 return False
-    return free[a, b] > RATIO * total
+    return free[cell] > RATIO * total
 
 
 @numba.njit(cache=True, inline='always')
-def _count(one, other, seen, a, b, stamp):  # type: ignore[no-untyped-def]
+def _count(one, other, seen, cell, stamp):  # type: ignore[no-untyped-def]
     """Add to a cell's count; a cell not seen for long begins anew."""
-    if stamp - seen[a, b] > FORGET_NS:
-        one[a, b], other[a, b] = 0, 0
-    if one[a, b] < 60000:
-        one[a, b] += 1
-    seen[a, b] = stamp
+    if stamp - seen[cell] > FORGET_NS:
+        one[cell], other[cell] = 0, 0
+    if one[cell] < 60000:
+        one[cell] += 1
+    seen[cell] = stamp

@@ -164,23 +164,31 @@ def _step(lines, counts, k, sign):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _compare(lines, elevations, depths, k, others, found):  # type: ignore[no-untyped-def]
     """Find the points of line k that hang between the two lines before and the two after it."""
-    near = np.empty(4)
-    at = np.zeros(4, np.int64)
-    for i in range(lines[k % KEPT].count):
-        if math.isnan(depths[k % KEPT, i]):
-            continue
-        here = elevations[k % KEPT, i]
-        same = SAME * (1.0 + here * here)
-        for m in range(4):
-            slot = others[m] % KEPT
-            elevation, last, j = elevations[slot], lines[slot].count - 1, at[m]
-            # both rise, or both fall, along their lines
-            while j < last and abs(elevation[j + 1] - here) <= abs(elevation[j] - here):
-                j += 1
-            at[m] = j
-            near[m] = depths[slot, j] if abs(elevation[j] - here) < same else np.nan
-        if _hangs(near[0], near[1], depths[k % KEPT, i], near[2], near[3]):
+    count, depth = lines[k % KEPT].count, depths[k % KEPT]
+    near = np.empty((4, count))
+    for m in range(4):
+        slot = others[m] % KEPT
+        _beside(elevations[k % KEPT, :count], elevations[slot, :lines[slot].count], depths[slot],
+                near[m])
+    for i in range(count):
+        if _hangs(near[0, i], near[1, i], depth[i], near[2, i], near[3, i]):
             found.append(lines[k % KEPT].first + i)
+
+
+@numba.njit(cache=True)
+def _beside(elevation, other, depth, near):  # type: ignore[no-untyped-def]
+    """Write the depth of another line's ray beside each of a line's; NaN where there is none."""
+    j, last = 0, len(other) - 1
+    for i in range(len(elevation)):
+        here = elevation[i]
+        off = abs(other[j] - here)
+        # both rise, or both fall, along their lines
+        while j < last:
+            further = abs(other[j + 1] - here)
+            if not further <= off:
+                break
+            j, off = j + 1, further
+        near[i] = depth[j] if off < SAME * (1.0 + here * here) else np.nan
 
 
 @numba.njit(cache=True, inline='always')

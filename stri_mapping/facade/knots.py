@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
 
@@ -30,19 +31,22 @@ class Knots:
         (k s, k s) and (k s,) normal equations of the k knots; statements are added to them.
     solution
         (k, s) the most likely values as of the last `solve`; new knots follow from the one before.
-    covariance
-        (k s, k s) as of the last `solve`.
 
     """
 
     def __init__(self, sigma: Array, time: Array, spacing: float) -> None:
         """Begin without knots."""
-        self._sigma, self._rho = sigma, np.exp(-spacing / time)
         self._size = len(sigma)
+        self._rho = np.exp(-spacing / time)
+        self._prior = np.diag(sigma**-2)
+        # what a knot and the one after it have to do with each other
+        weight = 1.0 / (sigma**2 * (1.0 - self._rho**2))
+        self._link = np.block([[np.diag(self._rho**2 * weight), np.diag(-self._rho * weight)],
+                               [np.diag(-self._rho * weight), np.diag(weight)]])
         self.information: Array = np.zeros((0, 0))
         self.vector: Array = np.zeros(0)
         self.solution: Array = np.zeros((0, self._size))
-        self.covariance: Array = np.zeros((0, 0))
+        self._factor: Array = np.zeros((0, 0))     # of the last `solve`, by Cholesky
 
     def append(self) -> None:
         """Add a knot that follows from the one before it."""
@@ -50,32 +54,46 @@ class Knots:
         information, vector = np.zeros((n + size, n + size)), np.zeros(n + size)
         information[:n, :n], vector[:n] = self.information, self.vector
         self.information, self.vector = information, vector
-        new = np.arange(n, n + size)
         if n == 0:
-            information[new, new] += self._sigma**-2
+            information += self._prior
             self.solution = np.zeros((1, size))
             return
-        weight = 1.0 / (self._sigma**2 * (1.0 - self._rho**2))
-        old = new - size
-        information[new, new] += weight
-        information[old, old] += self._rho**2 * weight
-        information[old, new] -= self._rho * weight
-        information[new, old] -= self._rho * weight
+        information[n - size:, n - size:] += self._link
         self.solution = np.concatenate([self.solution, self._rho * self.solution[-1:]])
 
     def solve(self) -> None:
-        """Find the most likely values, and how sure they are."""
-        self.covariance = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
-        self.solution = (self.covariance @ self.vector).reshape(-1, self._size)
+        """
+        Find the most likely values.
+
+        Raises
+        ------
+        np.linalg.LinAlgError
+            If what was told is not finite.
+
+        """
+        self._factor, failed = lapack.dpotrf(self.information, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError('information about the knots is not positive definite')
+        solution, _ = lapack.dpotrs(self._factor, self.vector, lower=1)
+        self.solution = solution.reshape(-1, self._size)
+
+    def deviation(self, knot: int) -> Array:
+        """Return the deviations (s,) of a knot as of the last `solve`; -1 is the newest."""
+        count, size = len(self._factor), self._size
+        # knots that have been dropped since then are still in the factor
+        begin = count - (-knot if knot < 0 else len(self.solution) - knot) * size
+        chosen = np.zeros((count, size), order='F')
+        chosen[begin:begin + size] = np.eye(size)
+        columns, _ = lapack.dpotrs(self._factor, chosen, lower=1, overwrite_b=1)
+        return np.asarray(np.sqrt(columns[begin:begin + size].diagonal()))
 
     def drop_oldest(self) -> tuple[Array, Array]:
         """Return the oldest knot (s,) and its deviations (s,), and pass on what it tells."""
         size = self._size
-        value, sigma = self.solution[0], np.sqrt(np.diag(self.covariance)[:size])
-        gain = np.linalg.solve(self.information[:size, :size], self.information[:size, size:])
+        value, sigma = self.solution[0], self.deviation(0)
+        across = self.information[:size, size:]
+        _, gain, _ = lapack.dposv(self.information[:size, :size], across)
         self.vector = self.vector[size:] - gain.T @ self.vector[:size]
-        self.information = self.information[size:, size:] - gain.T @ (
-            self.information[:size, size:])
-        self.covariance = self.covariance[size:, size:]
+        self.information = self.information[size:, size:] - gain.T @ across
         self.solution = self.solution[1:]
         return value, sigma

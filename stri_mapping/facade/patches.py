@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.facade.angles import heading
 from stri_mapping.facade.points import FACADE, OTHER
 
 Array = NDArray[np.float64]
@@ -92,6 +93,12 @@ def _key(x, y, z, ring):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, inline='always')
+def _inside(x):  # type: ignore[no-untyped-def]
+    """Return a coordinate from the cube's corner: small numbers keep their digits."""
+    return x - CUBE * math.floor(x / CUBE)
+
+
+@numba.njit(cache=True, inline='always')
 def _home(key):  # type: ignore[no-untyped-def]
     """Return the slot where a key is looked for first."""
     mixed = key * 0x9E3779B97F4A7C1 & 0x7FFFFFFFFFFFFFF
@@ -126,11 +133,13 @@ def _claim(key, keys, statistics):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _add(xyz, stamps, ring, label, keys, statistics):  # type: ignore[no-untyped-def]
+    last, slot = -1, -1
     for i in range(0, len(xyz), 2):
         if xyz[i, 2] < LOW or (label[i] != FACADE and label[i] != OTHER):
             continue
-        key = _key(xyz[i, 0], xyz[i, 1], xyz[i, 2], ring[i])
-        slot, seconds = _find(key, keys), 1e-9 * stamps[i]
+        key, seconds = _key(xyz[i, 0], xyz[i, 1], xyz[i, 2], ring[i]), 1e-9 * stamps[i]
+        if key != last:                          # neighbours mostly share their cube
+            slot, last = _find(key, keys), key
         if slot < 0 or seconds - statistics[slot, LAST] > FORGET:
             slot = _claim(key, keys, statistics) if slot < 0 else slot
             statistics[slot] = 0.0
@@ -138,14 +147,16 @@ def _add(xyz, stamps, ring, label, keys, statistics):  # type: ignore[no-untyped
         row[COUNT] += 1.0
         row[TIME] += seconds
         row[LAST] = seconds
-        k = PRODUCT
-        for m in range(3):
-            # from the cube's corner: small numbers keep their digits
-            a = xyz[i, m] - CUBE * math.floor(xyz[i, m] / CUBE)
-            row[SUM + m] += a
-            for n in range(m + 1):
-                row[k] += a * (xyz[i, n] - CUBE * math.floor(xyz[i, n] / CUBE))
-                k += 1
+        x, y, z = _inside(xyz[i, 0]), _inside(xyz[i, 1]), _inside(xyz[i, 2])
+        row[SUM] += x
+        row[SUM + 1] += y
+        row[SUM + 2] += z
+        row[PRODUCT] += x * x
+        row[PRODUCT + 1] += y * x
+        row[PRODUCT + 2] += y * y
+        row[PRODUCT + 3] += z * x
+        row[PRODUCT + 4] += z * y
+        row[PRODUCT + 5] += z * z
 
 
 @numba.njit(cache=True)
@@ -172,7 +183,7 @@ def _compare(  # type: ignore[no-untyped-def]
     xyz, poses, stamps, ring, label, start, spacing, knots, rings, keys, statistics, planes,
     information, vector,
 ):
-    row = np.empty(4)
+    row, known = np.empty(4), np.full(3, np.nan)
     for i in range(0, len(xyz), EVERY):
         if xyz[i, 2] < LOW or (label[i] != FACADE and label[i] != OTHER):
             continue
@@ -190,8 +201,8 @@ def _compare(  # type: ignore[no-untyped-def]
                 _fit(statistics[slot], plane)
             off = -plane[DISTANCE]
             for m in range(3):
-                off += plane[NORMAL + m] * (xyz[i, m] - CUBE * math.floor(xyz[i, m] / CUBE))
-            cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+                off += plane[NORMAL + m] * _inside(xyz[i, m])
+            cos, sin = heading(poses[i, 2], known)
             left = plane[NORMAL + 1] * cos - plane[NORMAL] * sin
             turn = (plane[NORMAL + 1] * (xyz[i, 0] - poses[i, 0])
                     - plane[NORMAL] * (xyz[i, 1] - poses[i, 1]))

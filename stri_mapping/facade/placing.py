@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stri_mapping import geometry
+from stri_mapping.facade.angles import cos_sin, heading
 from stri_mapping.facade.points import Rays
 from stri_mapping.scan import Scan
 from stri_mapping.trajectory import constant_speed, Trajectory
 
 Array = NDArray[np.float64]
 
-# What became of a ray.
-NO_RETURN, OUTSIDE, HIT = 0, 1, 2
 # Ranges beyond this are not finite, metres.
 FAR = 1e9
 
@@ -54,13 +53,11 @@ def rays_of(scans: Sequence[Scan], rings: Sequence[int], T_base_laser: Array, pa
     ring = np.array(rings, dtype=np.uint16)
     ranges, angles, seconds = (np.concatenate([getattr(scan, name) for scan in scans])
                                for name in ('ranges', 'angles', 'times'))
-    kept, base, poses, times, first = _rays_of(
-        ranges, angles, seconds, begin, stamps, ring, limits, T_base_laser, path.stamps_ns,
-        path.poses, int(max_gap * 1e9))
-    no_return = int(np.count_nonzero(kept == NO_RETURN))
-    hit = kept == HIT
-    return (Rays(base, poses, times, _intensity(scans)[hit], np.repeat(ring, np.diff(first)),
-                 first), no_return, len(kept) - len(base) - no_return)
+    base, poses, times, intensity, first, no_return = _rays_of(
+        ranges, angles, seconds, _intensity(scans), begin, stamps, ring, limits, T_base_laser,
+        path.stamps_ns, path.poses, int(max_gap * 1e9))
+    return (Rays(base, poses, times, intensity, np.repeat(ring, np.diff(first)), first),
+            no_return, len(ranges) - len(base) - no_return)
 
 
 def place(base: Array, poses: Array, attitude: Array, pivot: Array) -> Array:
@@ -97,45 +94,46 @@ def full_poses(poses: Array, attitude: Array, pivot: Array) -> Array:
 
 @numba.njit(cache=True)
 def _rays_of(  # type: ignore[no-untyped-def]
-    ranges, angles, times, begin, stamps, ring, limits, T, pose_stamps, poses, max_gap,
+    ranges, angles, times, given, begin, stamps, ring, limits, T, pose_stamps, poses, max_gap,
 ):
-    kept = np.zeros(len(ranges), np.uint8)
     base, at = np.empty((len(ranges), 3)), np.empty((len(ranges), 3))
+    intensity = np.empty(len(ranges), np.float32)
     when, first = np.empty(len(ranges), np.int64), np.zeros(len(stamps) + 1, np.int64)
-    n, k, last, step = 0, 0, -1, np.zeros(3)
+    n, no_return, k, step = 0, 0, 0, np.zeros(3)
+    start, stop = 1, 0                           # the interval of poses k, none yet
     longest = 1
     for i in range(len(stamps)):
         longest = max(longest, begin[i + 1] - begin[i])
     # a scanner's rays keep their angles from scan to scan: known, cosine and sine of each
     known = np.full((len(T), longest, 3), np.nan)
     for i in range(len(stamps)):
-        r = ring[i]
+        mount, rays, nearest, furthest = T[ring[i]], known[ring[i]], limits[i, 0], limits[i, 1]
         for j in range(begin[i], begin[i + 1]):
-            if not limits[i, 0] <= ranges[j] <= limits[i, 1]:
+            if not nearest <= ranges[j] <= furthest:
+                no_return += 1
                 continue
-            kept[j] = OUTSIDE
             t = stamps[i] + int(np.rint(times[j] * 1e9))
-            k = _interval(pose_stamps, t, k)
-            if k < 0:
-                k = 0
-                continue
-            start, stop = pose_stamps[k], pose_stamps[k + 1]
+            if not start <= t < stop:
+                k = _interval(pose_stamps, t, max(k, 0))
+                if k < 0:
+                    start, stop = 1, 0
+                    continue
+                start, stop = pose_stamps[k], pose_stamps[k + 1]
+                _log_step(poses[k], poses[k + 1], step)
             if stop - start > max_gap and t != start and t != stop:
                 continue
-            if k != last:
-                _log_step(poses[k], poses[k + 1], step)
-                last = k
-            _along(poses[k], step, (t - start) / (stop - start), at[n])
-            ray = known[r, j - begin[i]]
-            if ray[0] != angles[j]:
-                ray[0], ray[1], ray[2] = angles[j], math.cos(angles[j]), math.sin(angles[j])
-            x, y = ranges[j] * ray[1], ranges[j] * ray[2]
+            at[n, 0], at[n, 1], at[n, 2] = _along(poses, k, step, (t - start) / (stop - start))
+            q = j - begin[i]
+            if rays[q, 0] != angles[j]:
+                rays[q, 0], rays[q, 1] = angles[j], math.cos(angles[j])
+                rays[q, 2] = math.sin(angles[j])
+            x, y = ranges[j] * rays[q, 1], ranges[j] * rays[q, 2]
             for m in range(3):
-                base[n, m] = x * T[r, m, 0] + y * T[r, m, 1] + T[r, m, 3]
-            kept[j], when[n] = HIT, t
+                base[n, m] = x * mount[m, 0] + y * mount[m, 1] + mount[m, 3]
+            when[n], intensity[n] = t, 0.0 if math.isnan(given[j]) else given[j]
             n += 1
         first[i + 1] = n
-    return kept, base[:n].copy(), at[:n].copy(), when[:n].copy(), first
+    return base[:n], at[:n], when[:n], intensity[:n], first, no_return
 
 
 @numba.njit(cache=True, inline='always')
@@ -167,34 +165,23 @@ def _log_step(a, b, step):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, inline='always')
-def _along(a, step, fraction, out):  # type: ignore[no-untyped-def]
-    """Write the pose at a fraction of a step from a: `geometry.exp` composed with a."""
+def _along(poses, k, step, fraction):  # type: ignore[no-untyped-def]
+    """Return the pose at a fraction of a step from pose k: `geometry.exp` composed with it."""
     half = 0.5 * fraction * step[2]
-    c, s = _cos_sin(half)
+    c, s = cos_sin(half)
     scale = fraction * (s / half if abs(half) > 1e-8 else 1.0)
     c, s = scale * c, scale * s
-    out[0] = a[0] + c * step[0] - s * step[1]
-    out[1] = a[1] + s * step[0] + c * step[1]
-    out[2] = a[2] + fraction * step[2]
-
-
-@numba.njit(cache=True, inline='always')
-def _cos_sin(angle):  # type: ignore[no-untyped-def]
-    """Return cosine and sine; of small angles by their series, to 1e-15."""
-    if abs(angle) > 0.02:
-        return math.cos(angle), math.sin(angle)
-    q = angle * angle
-    return (1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0)),
-            angle * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0))))
+    return (poses[k, 0] + c * step[0] - s * step[1], poses[k, 1] + s * step[0] + c * step[1],
+            poses[k, 2] + fraction * step[2])
 
 
 @numba.njit(cache=True)
 def _place(base, poses, attitude, pivot):  # type: ignore[no-untyped-def]
-    out = np.empty((len(base), 3))
+    out, known = np.empty((len(base), 3)), np.full(3, np.nan)
     for i in range(len(base)):
-        cr, sr = _cos_sin(attitude[i, 0])
-        cp, sp = _cos_sin(attitude[i, 1])
-        cy, sy = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        cr, sr = cos_sin(attitude[i, 0])
+        cp, sp = cos_sin(attitude[i, 1])
+        cy, sy = heading(poses[i, 2], known)
         x, y, z = base[i, 0] - pivot[0], base[i, 1] - pivot[1], base[i, 2] - pivot[2]
         ahead = cp * x + sp * (sr * y + cr * z) + pivot[0]
         left = cr * y - sr * z + pivot[1]
@@ -204,10 +191,10 @@ def _place(base, poses, attitude, pivot):  # type: ignore[no-untyped-def]
     return out
 
 
-def _intensity(scans: Sequence[Scan]) -> NDArray[np.float32]:
+def _intensity(scans: Sequence[Scan]) -> Array:
     """Return the intensity of every ray; 0 where the scanner gives none."""
-    given = [np.zeros(len(s)) if s.intensities is None else s.intensities for s in scans]
-    return np.nan_to_num(np.concatenate(given)).astype(np.float32)
+    return np.concatenate([np.zeros(len(s)) if s.intensities is None else s.intensities
+                           for s in scans], dtype=np.float64)
 
 
 def at_constant_speed(xyz: Array, stamps_ns: ArrayLike, trajectory: Trajectory) -> Array:

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Of points (t, v): their count, sums of t and v, and of t t, t v and v v.
+Sums = tuple[float, float, float, float, float, float]
 
 # A point belongs to a run while it is this near to its line, metres: four standard deviations of
 # the range noise.  One that is not is skipped if the next is again.
@@ -49,24 +51,22 @@ def find_runs(t: Array, v: Array, runs: Array, member: NDArray[np.int32]) -> int
 
     """
     n, count, i = len(t), 0, 0
-    s = np.zeros(6)
     while i < n:
-        s[:] = 0.0
-        _add(s, t[i], v[i])
+        s = _add((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), t[i], v[i])
         member[i] = count
-        last, j, misses = i, i + 1, 0
+        last, j, misses, members = i, i + 1, 0, 1
         x, y = 0.0, 0.0
         while j < n and misses < 2:
             gap = (t[j] - t[last]) ** 2 + (v[j] - v[last]) ** 2
-            if s[0] < 2.0:
+            if members < 2:
                 # no line yet: neighbouring rays of one surface met at up to 75 degrees or so
                 fits = gap < (0.3 + 0.07 * math.sqrt(t[j] ** 2 + v[j] ** 2)) ** 2
             else:
-                off = (t[j] - s[1] / s[0]) * y - (v[j] - s[2] / s[0]) * x
-                fits = gap < OPENING**2 and abs(off) < TOLERANCE
+                off = (members * t[j] - s[1]) * y - (members * v[j] - s[2]) * x
+                fits = gap < OPENING**2 and abs(off) < members * TOLERANCE
             if fits:
-                _add(s, t[j], v[j])
-                if s[0] < 8.0 or s[0] % 4.0 == 0.0:     # a long line turns slowly
+                s, members = _add(s, t[j], v[j]), members + 1
+                if members < 8 or members % 4 == 0:     # a long line turns slowly
                     x, y, _ = _spread(s)
                 member[j] = count
                 last, misses = j, 0
@@ -74,7 +74,7 @@ def find_runs(t: Array, v: Array, runs: Array, member: NDArray[np.int32]) -> int
                 member[j] = -1
                 misses += 1
             j += 1
-        if s[0] >= 3.0:
+        if members >= 3:
             _write(runs[count], s, i, last, t, v)
             count += 1
         else:
@@ -85,21 +85,16 @@ def find_runs(t: Array, v: Array, runs: Array, member: NDArray[np.int32]) -> int
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _add(s: Array, t: float, v: float) -> None:
-    s[0] += 1.0
-    s[1] += t
-    s[2] += v
-    s[3] += t * t
-    s[4] += t * v
-    s[5] += v * v
+def _add(s: Sums, t: float, v: float) -> Sums:
+    return (s[0] + 1.0, s[1] + t, s[2] + v, s[3] + t * t, s[4] + t * v, s[5] + v * v)
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _spread(s: Array) -> tuple[float, float, float]:
+def _spread(s: Sums) -> tuple[float, float, float]:
     """Return the direction of most spread, and the variance across it."""
-    tt = s[3] / s[0] - (s[1] / s[0]) ** 2
-    tv = s[4] / s[0] - s[1] * s[2] / s[0] ** 2
-    vv = s[5] / s[0] - (s[2] / s[0]) ** 2
+    share = 1.0 / s[0]
+    t, v = share * s[1], share * s[2]
+    tt, tv, vv = share * s[3] - t * t, share * s[4] - t * v, share * s[5] - v * v
     root = math.sqrt(0.25 * (tt - vv) ** 2 + tv * tv)
     small = 0.5 * (tt + vv) - root
     # the longer of the two rows of (C - small) tells the direction without cancellation
@@ -116,7 +111,7 @@ def _spread(s: Array) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _write(run: Array, s: Array, first: int, last: int, t: Array, v: Array) -> None:
+def _write(run: Array, s: Sums, first: int, last: int, t: Array, v: Array) -> None:
     x, y, small = _spread(s)
     run[FIRST], run[LAST], run[COUNT] = first, last, s[0]
     run[MEAN_T], run[MEAN_V] = s[1] / s[0], s[2] / s[0]

@@ -48,11 +48,11 @@ class Stabiliser:
 
     def add(self, rays: Rays) -> NDArray[np.uint8]:
         """Take the next lines; return the class (n,) of each of their points."""
-        pauses = 1 + np.flatnonzero(
-            np.diff(rays.stamps_ns, prepend=self._last_ns) > LONGEST_PAUSE_NS)
+        begin = rays.first[:-1][np.diff(rays.first) > 0]
+        before = np.concatenate([[self._last_ns], rays.stamps_ns[begin[1:] - 1]])
         evidence, label = self._surveyor.survey(rays)
         self._waiting.append(evidence)
-        for ray in pauses - 1:
+        for ray in begin[rays.stamps_ns[begin] - before > LONGEST_PAUSE_NS]:
             self._end_stretch(int(rays.stamps_ns[ray - 1]) if ray else self._last_ns)
             # a line that began earlier may come later, if it took longer
             self._smoother = AttitudeSmoother(int(rays.stamps_ns[ray]) - SWEEP_NS)

@@ -165,11 +165,7 @@ def _survey(  # type: ignore[no-untyped-def]
             continue
         points, r = base[begin:begin + n], ring[begin]
         plane = planes[r]
-        for j in range(n):
-            t[j], v[j] = 0.0, 0.0
-            for m in range(3):
-                t[j] += (points[j, m] - plane[0, m]) * plane[1, m]
-                v[j] += (points[j, m] - plane[0, m]) * plane[2, m]
+        _in_plane(points, plane, t, v)
         count = find_runs(t[:n], v[:n], runs, member[:n])
         label_line(points, t[:n], runs[:count], member[:n], facades[r], label[begin:begin + n])
         for q in range(count):          # the nearest road, and with it the widest
@@ -191,6 +187,16 @@ def _survey(  # type: ignore[no-untyped-def]
                 value[k], scale[k] = runs[q, DIR_T] / runs[q, DIR_V], math.radians(0.5)
                 k += 1
     return k
+
+
+@numba.njit(cache=True)
+def _in_plane(points, plane, t, v):  # type: ignore[no-untyped-def]
+    """Write the places of points (n, 3) in the scan plane."""
+    at, across, up = plane
+    for j in range(len(points)):
+        x, y, z = points[j, 0] - at[0], points[j, 1] - at[1], points[j, 2] - at[2]
+        t[j] = x * across[0] + y * across[1] + z * across[2]
+        v[j] = x * up[0] + y * up[1] + z * up[2]
 
 
 @numba.njit(cache=True, inline='always')
@@ -217,28 +223,25 @@ def _road(  # type: ignore[no-untyped-def]
 ):
     """Write the statement of the road; the value goes where check has 1, for the heave."""
     normal[:], vector[:], check[:] = 0.0, 0.0, 0.0
-    jacobian, total, used = np.zeros(STATE), 0.0, 0
+    n, sx, sy, sz, xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(int(run[FIRST]), int(run[LAST]) + 1):
-        x, y, z = points[j]
-        out = math.hypot(x - plane[0, 0], y - plane[0, 1])
+        x, y, z = points[j, 0], points[j, 1], points[j, 2]
+        out = math.sqrt((x - plane[0, 0]) ** 2 + (y - plane[0, 1]) ** 2)
         if member[j] != number or out > ROAD_INCIDENCE * (plane[0, 2] - z):
             continue
-        jacobian[0], jacobian[1], jacobian[2], jacobian[3] = y, -x, 1.0, -y
-        for a in range(4):
-            vector[a] -= jacobian[a] * z
-            check[a] += jacobian[a]
-            for b in range(4):
-                normal[a, b] += jacobian[a] * jacobian[b]
-        total += z
-        used += 1
-    if used < ROAD_RAYS:
+        n, sx, sy, sz = n + 1.0, sx + x, sy + y, sz + z
+        xx, xy, yy, xz, yz = xx + x * x, xy + x * y, yy + y * y, xz + x * z, yz + y * z
+    if n < ROAD_RAYS:
         return False
+    # sums over the points of (y, -x, 1, -y), of its square and of its product with -z
+    single, by_height = (sy, -sx, n, -sy), (-yz, xz, -sz, yz)
+    square = ((yy, -xy, sy, -yy), (-xy, xx, -sx, xy), (sy, -sx, n, -sy), (-yy, xy, -sy, yy))
     for a in range(4):
-        vector[a] /= ROAD_SIGMA**2
-        check[a] /= used
+        vector[a] = by_height[a] / ROAD_SIGMA**2
+        check[a] = single[a] / n
         for b in range(4):
-            normal[a, b] /= ROAD_SIGMA**2
-    check[2] = -total / used
+            normal[a, b] = square[a][b] / ROAD_SIGMA**2
+    check[2] = -sz / n
     return True
 
 
