@@ -242,7 +242,7 @@ class StriEstimator:
         if not self._path.slow or len(self._profiles) < 3:
             return None
         recent = list(self._profiles)[-3:]
-        now = self._estimate(*self._pending[-1]).twist
+        now = self._estimate(0, recent[-1][0]).twist       # the newest scan may be far ahead
         lags = (0.5 * (recent[-1][0] - recent[-2][0]),)
         search = SlopeSearch(self._mount, now[0] + CHANGES[0], now[2] + CHANGES[1], 0.0, lags)
         for profile in recent:
