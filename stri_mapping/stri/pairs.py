@@ -147,20 +147,14 @@ def _partner(
     while middle < count and b[middle, S_BEARING] < bearing:
         middle += 1
     best, nearest, apart = -1, widest * widest, widest / r
-    k = middle
-    while k < count and b[k, S_BEARING] - bearing < apart:
-        dx, dy = b[k, X] - x, b[k, Y] - y
-        d = dx * dx + dy * dy
-        if d < nearest:
-            best, nearest, apart = k, d, math.sqrt(d) / r
-        k += 1
-    k = middle - 1
-    while k >= 0 and bearing - b[k, S_BEARING] < apart:
-        dx, dy = b[k, X] - x, b[k, Y] - y
-        d = dx * dx + dy * dy
-        if d < nearest:
-            best, nearest, apart = k, d, math.sqrt(d) / r
-        k -= 1
+    for way in (1, -1):
+        k = middle if way > 0 else middle - 1
+        while 0 <= k < count and way * (b[k, S_BEARING] - bearing) < apart:
+            dx, dy = b[k, X] - x, b[k, Y] - y
+            d = dx * dx + dy * dy
+            if d < nearest:
+                best, nearest, apart = k, d, math.sqrt(d) / r
+            k += way
     return best
 
 

@@ -108,17 +108,13 @@ class SlopeSearch:
             overlaps.
 
         """
-        costs = _mean(self._total, self._weight) + _haste(self._speeds, self._turn_rates)
-        v, w = np.unravel_index(int(np.argmin(costs)), costs.shape)
-        speed, turn = float(self._speeds[v]), float(self._turn_rates[w])
+        costs = _mean(self._total, self._weight)
+        speed, turn, cost = _least(costs, self._speeds, self._turn_rates)
         by_speed, by_turn = _spacing(self._speeds), _spacing(self._turn_rates)
-        cost = float(costs[v, w])
         for level in range(REFINEMENTS):
             finer = AROUND * 0.4 ** level
             speeds, turns = speed + finer * by_speed, turn + finer * by_turn
-            costs = self._costs(speeds, turns) + _haste(speeds, turns)
-            v, w = np.unravel_index(int(np.argmin(costs)), costs.shape)
-            speed, turn, cost = float(speeds[v]), float(turns[w]), float(costs[v, w])
+            speed, turn, cost = _least(self._costs(speeds, turns), speeds, turns)
         return np.array([speed, 0.0, turn]), cost
 
     def cost_of(self, twist: Array) -> float:
@@ -145,9 +141,11 @@ def _spacing(values: Array) -> float:
     return float(values[1] - values[0]) if len(values) > 1 else 0.0
 
 
-def _haste(speeds: Array, turn_rates: Array) -> Array:
-    """Return what is added to costs, so that where nothing decides it is rather slow than fast."""
-    return np.asarray(1e-5 * np.abs(speeds)[:, None] + 1e-5 * np.abs(turn_rates))
+def _least(costs: Array, speeds: Array, turn_rates: Array) -> tuple[float, float, float]:
+    """Return the best speed and turn rate and their cost; rather slow where nothing decides."""
+    costs = costs + (1e-5 * np.abs(speeds)[:, None] + 1e-5 * np.abs(turn_rates))
+    v, w = np.unravel_index(int(np.argmin(costs)), costs.shape)
+    return float(speeds[v]), float(turn_rates[w]), float(costs[v, w])
 
 
 def _mean(total: Array, weight: Array) -> Array:

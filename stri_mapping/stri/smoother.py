@@ -169,9 +169,9 @@ def add_pair(
     to_b[0, 0], to_b[0, 1], to_b[0, 2] = -cos, -sin, z[1]
     to_b[1, 0], to_b[1, 1], to_b[1, 2] = sin, -cos, -z[0]
     to_b[2, 0], to_b[2, 1], to_b[2, 2] = 0.0, 0.0, -1.0
-    _product(to_a, hessian, to_a, factor, blocks[0])
-    _product(to_b, hessian, to_b, factor, blocks[1])
-    _product(to_a, hessian, to_b, factor, blocks[2])
+    product(to_a, hessian, to_a, factor, blocks[0])
+    product(to_b, hessian, to_b, factor, blocks[1])
+    product(to_a, hessian, to_b, factor, blocks[2])
     for i in range(4):
         row_a, row_b = 3 * (ka + i), 3 * (kb + i)
         for d in range(3):
@@ -203,7 +203,7 @@ def _add_block(w: float, block: Array, row: int, column: int, information: Array
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _product(left: Array, middle: Array, right: Array, factor: float, out: Array) -> None:
+def product(left: Array, middle: Array, right: Array, factor: float, out: Array) -> None:
     """Write factor left' middle right, all (3, 3)."""
     for c in range(3):
         m0 = factor * (middle[0, 0] * right[0, c] + middle[0, 1] * right[1, c]

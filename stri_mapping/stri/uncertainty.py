@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.pairs import relative
-from stri_mapping.stri.smoother import add_pair, add_prior, SECOND, THIRD
+from stri_mapping.stri.smoother import add_pair, add_prior, product, SECOND, THIRD
 from stri_mapping.stri.spline import basis, pose_at
 from stri_mapping.stri.window import Keyframes, Pairs
 
@@ -172,10 +172,4 @@ def _moved_information(
     G = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     G[0, 2] = -cos * ey - sin * ex
     G[1, 2] = -sin * ey + cos * ex
-    for i in range(3):
-        for j in range(3):
-            s = 0.0
-            for r in range(3):
-                for c in range(3):
-                    s += G[r, i] * hessian[r, c] * G[c, j]
-            out[i, j] = s
+    product(G, hessian, G, 1.0, out)
