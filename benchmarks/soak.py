@@ -7,7 +7,9 @@ Memory, open files and threads of every node over a long run.
 
 It plays the bag again and again through recorder, estimator and aligner, samples the processes
 every ten seconds, and prints for each the slope of its resident memory over the second half, with
-the standard error that its noise gives, and what its open files and threads came to.
+the standard error that its noise gives, and what its open files and threads came to.  Since the
+player does not run ahead of the odometry, the rate is what the machine manages: how much driving
+was played is counted in the scans that were recorded.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ import tempfile
 import time
 
 import numpy as np
+
+from stri_mapping.bag_io import Bag
 
 PAGE = os.sysconf('SC_PAGE_SIZE')
 PERIOD = 10.0
@@ -40,6 +44,13 @@ def sample(pid: int) -> tuple[float, int, int]:
     folder = Path(f'/proc/{pid}')
     memory = int((folder / 'statm').read_text().split()[1]) * PAGE / 1e6
     return memory, len(list((folder / 'fd').iterdir())), len(list((folder / 'task').iterdir()))
+
+
+def passes(source: Path, recorded: Path) -> tuple[float, float]:
+    """Return how many times a bag was played, by its recorded scans, and its length in hours."""
+    with Bag(source) as bag, Bag(recorded) as copy:
+        count = [sum(b.message_count(topic) for topic in bag.scan_topics) for b in (bag, copy)]
+        return count[1] / count[0], bag.duration_ns / 3.6e12
 
 
 def slope(hours: np.ndarray, values: np.ndarray) -> tuple[float, float]:
@@ -79,7 +90,9 @@ def main() -> int:
         for process in nodes.values():
             process.send_signal(signal.SIGINT)
             process.wait(120)
-    print(f'{args.minutes:g} min at rate {args.rate:g}, second half:')
+    times, length = passes(args.bag, folder / 'bag')
+    print(f'{args.minutes:g} min at rate {args.rate:g} at most: {times * length:.2f} h of driving '
+          f'in {times:.1f} passes; second half:')
     for name, rows in samples.items():
         late = np.array(rows[len(rows) // 2:])
         rate, error = slope(late[:, 0] / 3600.0, late[:, 1])

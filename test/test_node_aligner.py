@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from array import array
+import gc
 import signal
 
 import live
@@ -12,7 +13,7 @@ import numpy as np
 
 from stri_mapping.facade.cloud_files import count_points
 from stri_mapping.facade.push_broom import FacadeAligner
-from stri_mapping.scan import scan_from_message, stamp_ns
+from stri_mapping.scan import Scan, scan_from_message, stamp_ns
 from stri_mapping.stri.estimate import Estimate
 from stri_mapping.summary import read_summary
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
@@ -111,3 +112,32 @@ def test_without_a_path_it_ends_cleanly_without_points(tmp_path):
     assert process.returncode == 0, output
     assert 'Traceback' not in output
     assert not (tmp_path / 'facade.ply').exists()
+
+
+def scans_alive() -> int:
+    """Return how many scans this process holds, whoever holds them."""
+    gc.collect()
+    return sum(isinstance(each, Scan) for each in gc.get_objects())
+
+
+def test_scans_that_waited_for_a_new_path_are_placed_once_and_forgotten():
+    import rclpy
+
+    from stri_mapping.nodes.conversions import path_message
+    from stri_mapping.nodes.facade_aligner import FacadeAlignerNode
+    rclpy.init(args=['--ros-args', '-p', 'tf_static_wait:=0.0'],
+               domain_id=int(live.environment()['ROS_DOMAIN_ID']))
+    try:
+        aligner = FacadeAlignerNode()
+        scans, path = messages()[:100], path_message(estimates()[:110], 'odom')
+        before = scans_alive()
+        for _ in range(4):                  # in all but the first, scans come before their path
+            for scan in scans:
+                aligner._inputs[1]._take(scan)
+            aligner._take_path(path)
+            assert scans_alive() <= before
+            assert aligner._aligner.counts.scans == len(scans)
+            assert aligner._aligner.counts.out_of_order == 0
+        aligner.node.destroy_node()
+    finally:
+        rclpy.shutdown()

@@ -73,7 +73,7 @@ def scan_message(timed: TimedScan, frame: str, intensities: bool = True) -> Lase
 def covariance_6x6(planar: Array) -> Array:
     """Return the row-major (36,) covariance of (x, y, z, rotX, rotY, rotZ) of a planar one."""
     full = np.diag([0.0, 0.0, UNOBSERVED, UNOBSERVED, UNOBSERVED, 0.0])
-    full[PLANAR] = planar
+    full[PLANAR] = 0.5 * (planar + planar.T)     # it comes symmetric to rounding
     return full.ravel()
 
 

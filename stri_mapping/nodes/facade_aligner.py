@@ -68,7 +68,7 @@ class FacadeAlignerNode:
         self._diagnostics = Diagnostics(self.node, {'facades': self._report})
         subscribe(self.node, Path, 'trajectory', self._take_path, TRAJECTORY_QOS)
         self._inputs = [ScanInput(self.node, scanner, partial(self._add_scan, ring),
-                                  partial(self._ahead.setdefault, ring, []),
+                                  partial(self._hold, ring),
                                   self.settings.scan_log(scanner))
                         for ring, scanner in enumerate(scanners)]
 
@@ -82,6 +82,10 @@ class FacadeAlignerNode:
             self._ahead[ring].append(scan)
         else:
             self._aligner.add_scan(ring, scan)
+
+    def _hold(self, ring: int) -> None:
+        """Let a scanner's scans wait from now on: time was set back, the path has yet to be."""
+        self._ahead.setdefault(ring, [])
 
     def _take_path(self, message: Path) -> None:
         stamps, poses = conversions.poses_from_path(message, self._yaw)
@@ -99,6 +103,8 @@ class FacadeAlignerNode:
             'time was set back by more than a second: the facades begin anew'
             + ('; the results folder keeps those before' if self._results.wanted else ''))
         self._complete()
+        # the new tables take the room of the old ones: beside them they would grow the heap
+        del self._aligner, self._overview
         self._aligner, self._overview = self._new_aligner(), Overview()
         self._yaw, self._mapped = 0.0, 0
         for ring, each in enumerate(self._inputs):
