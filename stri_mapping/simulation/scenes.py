@@ -20,7 +20,7 @@ from stri_mapping.simulation.ride import drive
 from stri_mapping.simulation.scene import Scene
 from stri_mapping.simulation.site import Site
 from stri_mapping.simulation.slope import sloped_mesh, sloped_motion
-from stri_mapping.simulation.street import street
+from stri_mapping.simulation.street import Profile, street
 from stri_mapping.simulation.traffic import ordinary, Traffic
 
 Array = NDArray[np.float64]
@@ -181,7 +181,7 @@ def _street(name: str, options: Options) -> Scene:
 
 
 def _stops(name: str, options: Options) -> Scene:
-    """Stop and go: three stops, people who cross, a car and a bus that keep alongside."""
+    """Stop and go on two lanes: three stops, people cross, a car and a bus keep alongside."""
     draft = Draft(name, options)
     points, stops, t = [(0.0, draft.rng.uniform(4.0, 7.0))], [], 4.0
     for _ in range(3):
@@ -194,15 +194,15 @@ def _stops(name: str, options: Options) -> Scene:
     distance = motion.distance_along(motion.speed_through(motion.times(points[-1][0]), points))
     path = Path([(float(distance[-1]) + 60.0, 0.0)])
     draft.ground(path)
-    street(draft.site.at(-60.0, 0.0), float(distance[-1]) + 120.0)
+    street(draft.site.at(-60.0, 0.0), float(distance[-1]) + 120.0, Profile(left=12.4))
     traffic = draft.traffic(path, distance)
     if options.traffic > 0.0:
         traffic.alongside('car', stops[0] - 3.0, 0.8, 3.3)
         traffic.alongside('bus', stops[1] - 4.0, 1.6, 3.5)
         for stop in stops:
             traffic.crossing(traffic.distance_at(stop) + draft.rng.uniform(3.5, 5.0),
-                             stop + 0.5, draft.rng.uniform(1.0, 1.6), 7.0)
-    ordinary(traffic, 0.5 * options.traffic, lane=6.0)
+                             stop + 0.5, draft.rng.uniform(1.0, 1.6), 10.0)
+    ordinary(traffic, 0.5 * options.traffic, lane=6.0, pavement=(10.2, 12.0))
     return draft.scene(path, distance, duration, traffic)
 
 

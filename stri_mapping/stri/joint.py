@@ -21,7 +21,7 @@ from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import MOVES, Trust
+from stri_mapping.stri.trust import Trust
 from stri_mapping.stri.uncertainty import Uncertainty
 from stri_mapping.stri.window import Window
 
@@ -44,7 +44,8 @@ class JointConfig:
     span
         Seconds of scans merged in a keyframe besides those of its own knot interval.
     jerk, angular_jerk, acceleration, angular_acceleration
-        Standard deviations of the motion's third and second derivatives, SI units.
+        Standard deviations of the motion's third and second derivatives, SI units; that of the
+        angular acceleration is 2 rad/s^2 where scans are rare.
     turn
         Standard deviation of the turn rate, rad/s: where nothing tells it, the way is straight.
     far
@@ -68,7 +69,7 @@ class JointConfig:
     jerk: float = 6.0
     angular_jerk: float = 3.0
     acceleration: float = 4.0
-    angular_acceleration: float = 2.0
+    angular_acceleration: float = 0.5
     turn: float = 0.4
     far: float = 80.0
     start_steps: int = 8
@@ -86,6 +87,7 @@ RESTART = 8           # knot intervals laid anew when the motion is taken up aga
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
+SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
 FADING = 0.7          # of acceleration from knot to knot where the path is extrapolated
 
 
@@ -127,8 +129,9 @@ class JointPath:
         self._newest = np.empty((0, 5))         # rays of the newest keyframe's own interval
         h, c = spacing, config
         self._jerk = np.array([c.jerk, c.jerk, c.angular_jerk]) ** -2.0 * h ** -6
+        angular = SLOW_ANGULAR_ACCELERATION if self.slow else c.angular_acceleration
         self._acceleration = np.array(
-            [c.acceleration, c.acceleration, c.angular_acceleration]) ** -2.0 * h ** -4
+            [c.acceleration, c.acceleration, angular]) ** -2.0 * h ** -4
         self._straight = np.array([0.0, 0.0, (c.turn * h) ** -2.0])
 
     def add(self, start: float, end: float, rays: Array) -> None:
@@ -281,4 +284,4 @@ class JointPath:
         """Return the weight of each surface by number, one of scans too rare to follow any."""
         if self.slow or not self.config.judge_surfaces:
             return np.ones(len(self.trust.weight))
-        return np.where(self.trust.weight < MOVES, 0.0, self.trust.weight)
+        return self.trust.of_residuals()

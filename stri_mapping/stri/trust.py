@@ -8,6 +8,10 @@ ones tell.  One that comes to, or leaves, places that other keyframes see throug
 loses its weight, all of it, its sides that slide along themselves included.  So a bus that draws
 alongside is out before it hides the street, and when it hides everything, nothing is left to be
 misled by.  Where known surfaces fall silent, it is the motion that is in doubt.
+
+And a surface is one witness, however many rays it has: they err alike, on a bonnet that slopes as
+the body pitches, on a lorry that creeps.  The more one tells of the motion, the less each of its
+residuals counts, so that two cars beside the road do not shout down the steps of a facade.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ USUAL_ROUNDS = 24.0    # comparisons that the numbers above are meant for
 FORGET = 0.8           # of what a surface used to say, from fit to fit
 KNOWN = 0.5            # weight above which a surface is known to stand
 MOVES = 0.05           # weight below which a surface is known to move
+WITNESS = 100.0        # votes of a surface at which its residuals count half
 
 
 class Trust:
@@ -52,14 +57,20 @@ class Trust:
         self.votes, self.through = np.zeros(LABELS + 1), np.zeros(LABELS)
         self._moved = np.zeros(LABELS, np.bool_)
         self._usual = np.zeros(LABELS)           # agreeing weight of a surface's ray, lately
+        self._said = np.zeros(LABELS)            # agreeing weight of a surface, lately
         self.agreement = 1.0
         self._known = 0
 
     def add(self, surfaces: int) -> None:
         """Take the surfaces that have come into view, by the count of numbers given so far."""
         new = np.arange(self._known, surfaces) % LABELS
-        self.weight[new], self._usual[new], self._moved[new] = NEW, 0.0, False
+        self.weight[new], self._moved[new] = NEW, False
+        self._usual[new] = self._said[new] = 0.0
         self._known = surfaces
+
+    def of_residuals(self) -> Array:
+        """Return the weight (LABELS,) of each surface's residuals: none of those that move."""
+        return np.where(self.weight < MOVES, 0.0, self.weight / (1.0 + self._said / WITNESS))
 
     def update(self, labels: Array, certain: bool) -> None:
         """
@@ -77,6 +88,7 @@ class Trust:
         agree = USUAL_ROUNDS * self.votes[:-1] / max(self.votes[-1], 1.0)
         rays = np.bincount(labels[labels >= 0].astype(np.int64) % LABELS, minlength=LABELS)
         self._compare(agree, rays)
+        self._said = np.maximum(agree, self._usual * rays)
         whole = agree + self.through
         heard = whole > ENOUGH
         share = agree / np.maximum(whole, 1e-9)
