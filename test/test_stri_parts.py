@@ -17,7 +17,7 @@ from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust
+from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust, WITNESS
 
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
 H = 0.1
@@ -223,6 +223,20 @@ def test_a_surface_earns_trust_and_loses_it_as_a_whole():
     trust.add(2)
     trust.pardon()
     assert trust.weight[0] < MOVES and trust.weight[1] == 1.0
+
+
+@given(st.lists(st.integers(1, 10_000), min_size=2, max_size=2, unique=True))
+def test_a_surface_is_one_witness_however_many_rays_it_has(said):
+    said.sort()
+    trust, rays = Trust(), np.repeat([0.0, 1.0], 20)
+    trust.votes[:2], trust.votes[-1] = said, 24.0
+    trust.update(rays, True)
+    weight = trust.of_residuals()[:2]
+    spoken = weight * said
+    assert weight[0] > weight[1] > 0.0                  # the louder, the less each ray counts
+    assert spoken[0] < spoken[1] < WITNESS              # yet it is not counted for less
+    trust.weight[0] = 0.9 * MOVES
+    assert trust.of_residuals()[0] == 0.0
 
 
 def test_known_surfaces_that_fall_silent_raise_doubt():
