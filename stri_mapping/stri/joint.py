@@ -84,7 +84,7 @@ START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 RESTART = 8           # knot intervals laid anew when the motion is taken up again
-CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
+CERTAIN = 0.3         # m/s, standard deviation of a speed that is known
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
 SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
