@@ -170,6 +170,23 @@ def test_the_range_image_tells_speed_and_turn_rate(speed, turn):
     assert cost < 0.7 * search.cost_of(twist + [2.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize('speed', [4.0, -1.0])
+def test_a_candidate_that_accelerates_tells_the_speed_at_the_end(speed):
+    rng, rate, end = np.random.default_rng(8), 3.0, 0.01332 * 45
+    steady, gaining = (SlopeSearch(LEFT, acceleration=a, until=end) for a in (0.0, rate))
+    for k in range(46):
+        t = 0.01332 * k
+        moved = speed * (t - end) + 0.5 * rate * (t - end) ** 2
+        scan = scan_at(t, np.array([moved, 0.0, 0.0]), WALL + COLUMNS, noise=0.01, rng=rng)
+        for search in (steady, gaining):
+            search.add((t, ANGLES, scan.ranges))
+    twist, cost = gaining.best()
+    assert twist[0] == pytest.approx(speed, abs=0.1)
+    mean, worse = steady.best()
+    assert mean[0] < speed - 0.3 and cost < worse
+    assert gaining.coarse_cost() < steady.coarse_cost()
+
+
 def test_without_anything_to_see_the_proposal_is_to_stand():
     search = SlopeSearch(LEFT)
     for k in range(50):

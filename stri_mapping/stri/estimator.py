@@ -34,6 +34,7 @@ RECENT = 0.64               # seconds of scans kept for proposing a motion
 CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
 TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
+ACCELERATIONS = (0.0, -2.5, 2.5)        # m/s^2
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
 MARGIN = 0.004              # metres, the least by which it must be better
 DECISIVE = 0.7              # cost of a proposal over that of others, to be believed
@@ -97,7 +98,7 @@ class StriEstimator:
         self._path: JointPath | None = None
         self._advanced = False                   # whether the scan before extended the path
         self._looks = False                      # whether a look for the motion is due
-        self._found: Array | None = None         # another motion, to be taken up
+        self._found: tuple[Array, float] | None = None      # another motion, to be taken up
         self._profiles: deque[Profile] = deque()
         self._origin_ns: int | None = None
         self._T_odom_first = np.zeros(3)         # odom from the path's own frame
@@ -135,7 +136,7 @@ class StriEstimator:
             if not self._ready():
                 return None
             if self._found is None:             # the fit goes with the next scan
-                self._found, _ = self._search.best()
+                self._found = self._search.best()[0], 0.0
                 return None
             self._start()
         else:
@@ -171,9 +172,8 @@ class StriEstimator:
 
     def _start(self) -> None:
         """Read the first speed from the slope of the range image, then fit the scans kept."""
-        twist, self._found = self._found, None
-        if twist is None:
-            twist, _ = self._search.best()
+        twist = self._found[0] if self._found else self._search.best()[0]
+        self._found = None
         angles = self._starting[0][0].angles
         step = float(abs(angles[1] - angles[0]))
         self._path = path = JointPath(
@@ -259,14 +259,24 @@ class StriEstimator:
         """
         assert self._path is not None
         if self._found is not None:
-            self._path.restart(self._of_scanner(self._found))
+            twist, acceleration = self._found
+            self._path.restart(self._of_scanner(twist),
+                               self._of_scanner(np.array([acceleration, 0.0, 0.0])))
             self._found = None
         elif self._looks:
             self._looks = False
             self._found = self._another_motion()
 
-    def _another_motion(self) -> Array | None:
-        """Return the twist that the newest scans tell better than that of the path, if any."""
+    def _another_motion(self) -> tuple[Array, float] | None:
+        """
+        Look for a motion that tells the newest scans better than that of the path.
+
+        Returns
+        -------
+        tuple or None
+            Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
+
+        """
         assert self._path is not None
         sigma = self._path.sigma
         doubted = self._path.trust.agreement < DOUBT
@@ -276,16 +286,24 @@ class StriEstimator:
             return None
         now = self._estimate(*self._pending[-1]).twist
         reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
-        search = SlopeSearch(
-            self._mount, now[0] + np.linspace(-reach, reach, 31), now[2] + TURNS)
-        for profile in self._profiles:
-            search.add(profile)
+        searches = [self._search_around(now, reach, a) for a in ACCELERATIONS]
+        search = min(searches, key=SlopeSearch.coarse_cost)
         twist, cost = search.best()
-        others = [now, *(twist + [d, 0.0, 0.0] for d in (-APART, APART))]
-        least = min(search.cost_of(other) for other in others)
+        least = min([each.cost_of(now) for each in searches]
+                    + [search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)])
         inside = abs(twist[0] - now[0]) < 0.9 * reach
         better = inside and cost < DECISIVE * least and cost < least - MARGIN
-        return twist if better else None
+        return (twist, search.acceleration) if better else None
+
+    def _search_around(self, twist: Array, reach: float, acceleration: float) -> SlopeSearch:
+        """Return the search of the newest scans for speeds around that of a twist."""
+        search = SlopeSearch(
+            self._mount, twist[0] + np.linspace(-reach, reach, 31),
+            twist[2] + (TURNS if acceleration == 0.0 else TURNS[1:2]),
+            acceleration=acceleration, until=self._profiles[-1][0])
+        for profile in self._profiles:
+            search.add(profile)
+        return search
 
     def _release(self, until: float) -> None:
         assert self._path is not None

@@ -84,7 +84,7 @@ START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 RESTART = 8           # knot intervals laid anew when the motion is taken up again
-CERTAIN = 0.3         # m/s, standard deviation of a speed that is known
+CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
 SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
@@ -179,19 +179,21 @@ class JointPath:
         knots[last - 1] = knots[last - 3] + 2.0 * self.h * velocity
         knots[last - 2] = 0.25 * (6.0 * end - knots[last - 3] - knots[last - 1])
 
-    def restart(self, twist: Array) -> None:
+    def restart(self, twist: Array, acceleration: Array) -> None:
         """
         Take up the motion again after losing it.
 
         Parameters
         ----------
-        twist
-            (3,) of the scanner in its own frame: the newest `RESTART` knot intervals are laid
-            anew along it, from where the path was, and fitted to their own scans alone.
+        twist, acceleration
+            (3,) of the scanner in its own frame at the newest knot, and its change in a second:
+            the newest `RESTART` knot intervals are laid anew along it, from where the path was,
+            and fitted to their own scans alone.
 
         """
         begin = self.step - RESTART
-        along = geometry.exp(np.arange(RESTART + 3)[:, None] * self.h * twist)
+        t = np.arange(RESTART + 3)[:, None] * self.h
+        along = geometry.exp(t * twist + (0.5 * t - RESTART * self.h) * t * acceleration)
         self.knots[begin + 1:self.step + 4] = geometry.compose(self.pose(begin * self.h), along)
         self._start = begin + 2
         self.trust.pardon()

@@ -45,14 +45,19 @@ class SlopeSearch:
         Seconds between scans that later ones are predicted from.
     lags
         Seconds after which, at the least.
+    acceleration, until
+        In m/s^2 along x, of all candidates, and the time in seconds at which they have their
+        speed.
 
     """
 
     def __init__(
         self, mount: Array, speeds: Array = SPEEDS, turn_rates: Array = TURN_RATES,
-        every: float = 0.08, lags: tuple[float, ...] = LAGS,
+        every: float = 0.08, lags: tuple[float, ...] = LAGS, acceleration: float = 0.0,
+        until: float = 0.0,
     ) -> None:
         """Start with no scan."""
+        self.acceleration, self._until = acceleration, until
         self._mount, self._every, self._lags = mount, every, lags
         self._speeds, self._turn_rates = speeds, turn_rates
         self._total = np.zeros((len(speeds), len(turn_rates)))
@@ -95,6 +100,10 @@ class SlopeSearch:
                 found.add(self._anchors[self._next[n] - 1])
         return sorted(found)
 
+    def coarse_cost(self) -> float:
+        """Return the cost, as `best` has it, of the best candidate before it is refined."""
+        return _least(_mean(self._total, self._weight), self._speeds, self._turn_rates)[2]
+
     def best(self) -> tuple[Array, float]:
         """
         Refine the best candidate.
@@ -133,8 +142,9 @@ class SlopeSearch:
     ) -> None:
         for i, k in pairs:
             (t, bearings, ranges), (later, there, then) = self._profiles[i], self._profiles[k]
+            mean = speeds + self.acceleration * (0.5 * (t + later) - self._until)
             _predict(ranges, bearings[0], then, there[0], bearings[1] - bearings[0], later - t,
-                     self._mount, speeds, turn_rates, k % every, every, total, weight)
+                     self._mount, mean, turn_rates, k % every, every, total, weight)
 
 
 def _spacing(values: Array) -> float:

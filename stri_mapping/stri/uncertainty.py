@@ -27,11 +27,11 @@ Index = NDArray[np.int64]
 WINDOW = 16
 # A pair's residuals are not independent of one another nor of other pairs': so many count as
 # one.  With this, errors over 1 s of drives without mishap are about what is stated.
-DILUTION = 40.0
+DILUTION = 25.0
 # What a vehicle does when nobody looks, standard deviations: m/s^2 and rad/s^2.  Independent from
 # knot to knot, so that seconds of the same braking need as much.
 JERK, ANGULAR_JERK = 6.0, 3.0
-ACCELERATION, ANGULAR_ACCELERATION = 6.0, 1.5
+ACCELERATION, ANGULAR_ACCELERATION = 7.0, 1.5
 
 
 class Uncertainty:
