@@ -23,6 +23,7 @@ from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointConfig, JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
+from stri_mapping.stri.recovery import another_motion, changed_twist
 from stri_mapping.stri.segmentation import Labels, Segmenter
 from stri_mapping.stri.trust import LABELS, MOVES
 
@@ -31,15 +32,8 @@ Mask = NDArray[np.bool_]
 
 
 RECENT = 0.64               # seconds of scans kept for proposing a motion
-CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
-TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
-ACCELERATIONS = (0.0, -2.5, 2.5)        # m/s^2
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
-MARGIN = 0.004              # metres, the least by which it must be better
-DECISIVE = 0.7              # cost of a proposal over that of others, to be believed
-SEEN = 0.25                 # share of rays on what stands, below which no motion can be told
-APART = 1.5                 # m/s to other speeds that must be clearly worse
 
 
 @dataclass(frozen=True)
@@ -243,12 +237,8 @@ class StriEstimator:
             return None
         recent = list(self._profiles)[-3:]
         now = self._estimate(0, recent[-1][0]).twist       # the newest scan may be far ahead
-        lags = (0.5 * (recent[-1][0] - recent[-2][0]),)
-        search = SlopeSearch(self._mount, now[0] + CHANGES[0], now[2] + CHANGES[1], 0.0, lags)
-        for profile in recent:
-            search.add(profile)
-        twist, cost = search.best()
-        return self._of_scanner(twist) if cost < search.cost_of(now) - MARGIN else None
+        twist = changed_twist(recent, self._mount, now)
+        return None if twist is None else self._of_scanner(twist)
 
     def _take_up(self) -> None:
         """
@@ -268,42 +258,13 @@ class StriEstimator:
             self._found = self._another_motion()
 
     def _another_motion(self) -> tuple[Array, float] | None:
-        """
-        Look for a motion that tells the newest scans better than that of the path.
-
-        Returns
-        -------
-        tuple or None
-            Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
-
-        """
+        """Return twist and acceleration of a motion that is to replace the path's, if any."""
         assert self._path is not None
-        sigma = self._path.sigma
-        doubted = self._path.trust.agreement < DOUBT
+        sigma, doubted = self._path.sigma, self._path.trust.agreement < DOUBT
         if sigma < self.config.lost_sigma and not doubted:
             return None
-        if np.mean([np.isfinite(r).mean() for _, _, r in self._profiles]) < SEEN:
-            return None
         now = self._estimate(*self._pending[-1]).twist
-        reach = min(max(6.0 * sigma, 5.0 * doubted), 12.0)
-        searches = [self._search_around(now, reach, a) for a in ACCELERATIONS]
-        search = min(searches, key=SlopeSearch.coarse_cost)
-        twist, cost = search.best()
-        least = min([each.cost_of(now) for each in searches]
-                    + [search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)])
-        inside = abs(twist[0] - now[0]) < 0.9 * reach
-        better = inside and cost < DECISIVE * least and cost < least - MARGIN
-        return (twist, search.acceleration) if better else None
-
-    def _search_around(self, twist: Array, reach: float, acceleration: float) -> SlopeSearch:
-        """Return the search of the newest scans for speeds around that of a twist."""
-        search = SlopeSearch(
-            self._mount, twist[0] + np.linspace(-reach, reach, 31),
-            twist[2] + (TURNS if acceleration == 0.0 else TURNS[1:2]),
-            acceleration=acceleration, until=self._profiles[-1][0])
-        for profile in self._profiles:
-            search.add(profile)
-        return search
+        return another_motion(list(self._profiles), self._mount, now, sigma, doubted)
 
     def _release(self, until: float) -> None:
         assert self._path is not None

@@ -1,0 +1,101 @@
+# Copyright 2026 The stri_mapping authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the newest scans alone tell of the motion, by the slope idea, beside that of the path.
+
+Where the path may have lost the motion another one is proposed, if it is decisively better; where
+scans are too rare for an extrapolated path to be a good start, a change of its twist.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stri_mapping.stri.proposal import Profile, SlopeSearch
+
+Array = NDArray[np.float64]
+
+CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
+TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
+ACCELERATIONS = (0.0, -2.5, 2.5)        # m/s^2
+FARTHEST = 12.0             # m/s from the path's speed to the farthest that is tried
+DOUBTED = 5.0               # m/s, the least reach when the path is doubted
+MARGIN = 0.004              # metres, the least by which a proposal must be better
+DECISIVE = 0.7              # cost of a proposal over that of others, to be believed
+SEEN = 0.25                 # share of rays on what stands, below which no motion can be told
+APART = 1.5                 # m/s to other speeds that must be clearly worse
+
+
+def another_motion(
+    profiles: list[Profile], mount: Array, now: Array, sigma: float, doubted: bool,
+) -> tuple[Array, float] | None:
+    """
+    Look for a motion that tells scans decisively better than that of the path.
+
+    Parameters
+    ----------
+    profiles
+        The newest scans, NaN on what is known to move.
+    mount
+        (3,) planar pose of the scanner in base_link.
+    now
+        (3,) twist of base_link as the path has it.
+    sigma
+        Standard deviation of its speed in m/s: speeds within six are tried.
+    doubted
+        Whether known surfaces speak against it, whatever its deviation.
+
+    Returns
+    -------
+    tuple or None
+        Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
+
+    """
+    if np.mean([np.isfinite(ranges).mean() for _, _, ranges in profiles]) < SEEN:
+        return None
+    reach = min(max(6.0 * sigma, DOUBTED * doubted), FARTHEST)
+    searches = [_search_around(profiles, mount, now, reach, a) for a in ACCELERATIONS]
+    search = min(searches, key=SlopeSearch.coarse_cost)
+    twist, cost = search.best()
+    least = min([each.cost_of(now) for each in searches]
+                + [search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)])
+    inside = abs(twist[0] - now[0]) < 0.9 * reach
+    better = inside and cost < DECISIVE * least and cost < least - MARGIN
+    return (twist, search.acceleration) if better else None
+
+
+def _search_around(
+    profiles: list[Profile], mount: Array, twist: Array, reach: float, acceleration: float,
+) -> SlopeSearch:
+    """Return the search of scans for speeds around that of a twist."""
+    search = SlopeSearch(
+        mount, twist[0] + np.linspace(-reach, reach, 31),
+        twist[2] + (TURNS if acceleration == 0.0 else TURNS[1:2]),
+        acceleration=acceleration, until=profiles[-1][0])
+    for profile in profiles:
+        search.add(profile)
+    return search
+
+
+def changed_twist(profiles: list[Profile], mount: Array, now: Array) -> Array | None:
+    """
+    Look how the twist has changed between the newest two of three scans.
+
+    Parameters
+    ----------
+    profiles, mount, now
+        As in `another_motion`.
+
+    Returns
+    -------
+    Array or None
+        Twist (3,) of base_link that tells them better, None where there is none.
+
+    """
+    lags = (0.5 * (profiles[-1][0] - profiles[-2][0]),)
+    search = SlopeSearch(mount, now[0] + CHANGES[0], now[2] + CHANGES[1], 0.0, lags)
+    for profile in profiles:
+        search.add(profile)
+    twist, cost = search.best()
+    return twist if cost < search.cost_of(now) - MARGIN else None
