@@ -250,8 +250,10 @@ class JointPath:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         window = self.window
         self.trust.votes[:] = self.trust.through[:] = 0.0
+        weights = self._weights()
         for attempt in range(3):
-            self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations)
+            self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations,
+                        weights)
             stale = window.stale(self.knots, first * self.h) if attempt < 2 else []
             if not stale:
                 break
@@ -272,6 +274,7 @@ class JointPath:
 
     def _solve(
         self, first: int, last: int, scales: Array, newest: float, iterations: int,
+        weights: Array,
     ) -> None:
         p, f = self.window.pairs, self.window.frames
         n = p.count
@@ -279,7 +282,7 @@ class JointPath:
             self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
             newest, iterations, self._jerk, self._acceleration, self._straight, self.error.value,
-            self._weights(), self._forward,
+            weights, self._forward,
             self.trust.votes, SLOW_DILUTION if self.slow else DILUTION)
 
     def _weights(self) -> Array:
