@@ -6,10 +6,10 @@ Memory, open files and threads of every node over a long run.
     python benchmarks/soak.py BAG [--minutes 6] [--rate 10]
 
 It plays the bag again and again through recorder, estimator and aligner, samples the processes
-every ten seconds, and prints for each the slope of its resident memory over the second half, with
-the standard error that its noise gives, and what its open files and threads came to.  Since the
-player does not run ahead of the odometry, the rate is what the machine manages: how much driving
-was played is counted in the scans that were recorded.
+every ten seconds, and prints for each its resident memory at each quarter, its slope over the
+second half, with the standard error that its noise gives, and what its open files and threads
+came to.  Since the player does not run ahead of the odometry, the rate is what the machine
+manages: how much driving was played is counted in the scans that were recorded.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ def main() -> int:
     for name, rows in samples.items():
         late = np.array(rows[len(rows) // 2:])
         rate, error = slope(late[:, 0] / 3600.0, late[:, 1])
-        print(f'{name:16} {late[-1, 1]:6.1f} MB  {rate:+7.2f} +- {error:.2f} MB/h   files '
+        quarters = ' '.join(f'{rows[len(rows) * k // 4 - 1][1]:.1f}' for k in (1, 2, 3, 4))
+        print(f'{name:16} {quarters} MB  {rate:+7.2f} +- {error:.2f} MB/h   files '
               f'{late[0, 2]:.0f} to {late[-1, 2]:.0f}   threads {late[0, 3]:.0f} to '
               f'{late[-1, 3]:.0f}')
     return 0

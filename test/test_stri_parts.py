@@ -12,7 +12,7 @@ from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import SlopeSearch
-from stri_mapping.stri.range_error import RangeError
+from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
@@ -195,8 +195,15 @@ def test_without_anything_to_see_the_proposal_is_to_stand():
     np.testing.assert_allclose(twist, 0.0, atol=1e-9)
 
 
+def turned_by_pull(error, pose, pull, step):
+    """Move along a wall as the estimator would, its heading turned by what is not corrected."""
+    # the wall stands across x, so its way is along y
+    return pose + [0.0, step, TURN * (pull - error.value) * step]
+
+
 def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
-    pull, rng, error = 4e-5, np.random.default_rng(7), RangeError()
+    pull, rng, error = 4e-5, np.random.default_rng(7), RangeError(2e-5, 2e-5)
+    pose = np.zeros(3)
     for k in range(60):
         ranges = look(LEFT, WALL)
         slant = 8.0 * np.tan(ANGLES[1:-1]) / np.cos(ANGLES[1:-1])
@@ -210,9 +217,32 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
         count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
                                surfels, np.empty(keyframe.BINS + 1, np.int32),
                                np.empty(keyframe.SIGHTS))
-        error.learn(surfels[:count], 0.5 * k)
+        pose = turned_by_pull(error, pose, pull, -0.5)
+        error.learn(surfels[:count], pose, 0.5 * k)
     # the prior holds it back where walls tell little; here they tell much
     assert error.value == pytest.approx(pull, rel=0.25)
+
+
+@pytest.mark.parametrize('pull', [0.0, 4e-5])
+@pytest.mark.parametrize('step', [-0.7, 0.7])
+def test_the_pull_is_learnt_from_short_walls_in_line(pull, step):
+    # every house 6 m long, out of line by 0.15 degrees, a parked car before every third
+    rng, error, pose = np.random.default_rng(11), RangeError(2e-5, 2e-5), np.zeros(3)
+    house = np.deg2rad(0.15) * rng.standard_normal(100)
+    car = np.deg2rad(1.5) * rng.standard_normal(100)
+    for k in range(600):
+        pose = turned_by_pull(error, pose, pull, step)
+        at = abs(int(0.7 * k / 6.0))
+        normal = (car if at % 3 == 0 else house)[at] + 0.005 * rng.standard_normal(80)
+        surfels = np.zeros((80, keyframe.SURFEL))
+        along = np.linspace(-1.5, 1.5, 80)      # too short a piece to show a bend
+        surfels[:, keyframe.X] = 8.0
+        surfels[:, keyframe.Y] = along
+        surfels[:, keyframe.NX], surfels[:, keyframe.NY] = -np.cos(normal), -np.sin(normal)
+        error.learn(surfels, pose, 0.7 * k)
+    # 0.15 degrees of 47 houses over 420 m leave a tenth of a degree in 100 m, or 0.7e-5
+    assert error.value == pytest.approx(pull, abs=0.7e-5)
+    assert abs(np.rad2deg(pose[2])) < 0.9        # 1.2 degrees and more had nothing been learnt
 
 
 def test_a_surface_earns_trust_and_loses_it_as_a_whole():

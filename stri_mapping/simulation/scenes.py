@@ -180,8 +180,8 @@ def _street(name: str, options: Options) -> Scene:
     return draft.scene(path, distance, duration, traffic)
 
 
-def _stops(name: str, options: Options) -> Scene:
-    """Stop and go on two lanes: three stops, people cross, a car and a bus keep alongside."""
+def _stops(name: str, options: Options, second: str = 'car') -> Scene:
+    """Stop and go on two lanes: three stops, people cross, two vehicles keep alongside."""
     draft = Draft(name, options)
     points, stops, t = [(0.0, draft.rng.uniform(4.0, 7.0))], [], 4.0
     for _ in range(3):
@@ -198,12 +198,17 @@ def _stops(name: str, options: Options) -> Scene:
     traffic = draft.traffic(path, distance)
     if options.traffic > 0.0:
         traffic.alongside('car', stops[0] - 3.0, 0.8, 3.3)
-        traffic.alongside('bus', stops[1] - 4.0, 1.6, 3.5)
+        traffic.alongside(second, stops[1] - 4.0, 1.6, 3.5)
         for stop in stops:
             traffic.crossing(traffic.distance_at(stop) + draft.rng.uniform(3.5, 5.0),
                              stop + 0.5, draft.rng.uniform(1.0, 1.6), 10.0)
     ordinary(traffic, 0.5 * options.traffic, lane=6.0, pavement=(10.2, 12.0))
     return draft.scene(path, distance, duration, traffic)
+
+
+def _bus(name: str, options: Options) -> Scene:
+    """As `_stops`, but a bus fills the view for seconds while the vehicle brakes."""
+    return _stops(name, options, 'bus')
 
 
 def _reverse(name: str, options: Options) -> Scene:
@@ -282,7 +287,7 @@ def _city(name: str, options: Options) -> Scene:
 
 
 SCENES: dict[str, Callable[[str, Options], Scene]] = {
-    'campus': _campus, 'street': _street, 'corner': _corner, 'stops': _stops,
+    'campus': _campus, 'street': _street, 'corner': _corner, 'stops': _stops, 'bus': _bus,
     'bare_wall': _bare_wall, 'reverse': _reverse, 'highway': _highway, 'loop': _loop,
     'city': _city,
 }

@@ -1,13 +1,16 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The pull of slanted footprints, learnt from the straightness of walls.
+The pull of slanted footprints, learnt from the straightness of streets.
 
 Where a beam meets a wall at an angle, the near side of its footprint answers first: the range is
 short by b (r tan(incidence))^2.  That bends a straight wall, and a bent wall that passes by turns
-the estimated heading by its curvature, 2 b, per metre driven: degrees in a street.  A real wall
-has bends of its own, but they pass through all angles of incidence while the scanner's do not.
-So b is the robust mean of what all walls seen over the last stretch of the drive say.
+the estimated heading with every metre driven: degrees in a street.  Long plain walls show their
+bend themselves (see `straightness`); most are too short, and have steps of their own.  But houses
+of one street stand in line: with the wrong b their directions drift with the way, with the right
+one they come back again and again.  So b is what makes the directions of walls along the way fall
+together best, whatever other directions there are besides: parked cars, side streets, the street
+after the next corner.
 """
 
 from __future__ import annotations
@@ -18,23 +21,34 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import NX, NY, PULL, X, Y
+from stri_mapping.stri.keyframe import NORMAL_VAR, NX, NY, X, Y
+from stri_mapping.stri.straightness import Bends
 
 Array = NDArray[np.float64]
 
-# Before any wall is seen, 1/m: little is known.  A wide beam (11.9 mrad) gave
-# 4e-5 on a real street, a narrow one less.
-MEAN, SIGMA = 1.5e-5, 8e-5
-MEMORY = 200.0        # metres of path over which walls are remembered
-SAME_WALL = 15.0      # keyframes see the same wall again and again: so many count as one
-WALLS = 3             # looked for in a keyframe
-MIN_LENGTH = 6.0      # metres of a wall from which its bend can be told
-SCALE = 0.02          # metres from the line at which a surfel counts half
+CANDIDATES = np.arange(-3e-5, 9.01e-5, 0.25e-5)
+# Radians of heading by metre driven and by b: 2 for rays near the perpendicular, more beyond.
+TURN = 2.6
+STREET = 300.0        # metres within which houses stand in line, then afresh
+EVERY = 1.0           # metres driven between looks
+SAME_WALL = 10.0      # metres of one wall: so many looks count as one
+BIN = math.radians(0.05)
+BINS = round(math.pi / BIN)
+WIDTH = math.radians(0.15)          # by which walls of one street differ, standard deviation
+REACH = 8                           # bins of the kernel to either side
+KERNEL = np.exp(-0.5 * (np.arange(-REACH, REACH + 1) * BIN / WIDTH) ** 2)
+NEAR = math.radians(4.0)            # from the commonest direction to what still belongs to it
+SPREAD = 0.01                       # radians from it at which a surfel counts half
 
 
 class RangeError:
     """
     Running estimate of the pull.
+
+    Parameters
+    ----------
+    mean, sigma
+        What is known of b before anything is seen, 1/m.
 
     Attributes
     ----------
@@ -43,131 +57,116 @@ class RangeError:
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, mean: float, sigma: float) -> None:
         """Start from the prior."""
-        self.value = MEAN
-        self._walls: list[tuple[float, float, float]] = []     # path, b, variance of b
+        self.value = mean
+        self._log = -0.5 * ((CANDIDATES - mean) / sigma) ** 2     # of streets before, and prior
+        self._seen = np.zeros((len(CANDIDATES), BINS))    # directions, turned back by each b
+        self._together = np.zeros(len(CANDIDATES))        # how much they fall together
+        self._bends = Bends()
+        self._looks = 0
+        self._way = 0.0           # metres along the walls
+        self._turned = 0.0        # m times b that was corrected on the way
+        self._normal = math.nan   # of the wall seen last, from the scanner
+        self._last = np.full(3, np.nan)
 
-    def learn(self, surfels: Array, travelled: float) -> None:
+    def learn(self, surfels: Array, pose: Array, travelled: float) -> None:
         """
-        Take the walls of one keyframe.
+        Take one keyframe.
 
         Parameters
         ----------
         surfels
             (n, SURFEL) of the keyframe, uncorrected.
+        pose
+            (3,) of the scanner in its first frame, as estimated.
         travelled
-            Metres of path so far; what lies `MEMORY` behind is forgotten.
+            Metres of path so far.
 
         """
-        use = np.ones(len(surfels), np.bool_)
-        for _ in range(WALLS):
-            found, b, variance = _wall(surfels, use, self.value)
-            if not found:
-                break
-            if variance < np.inf:
-                self._walls.append((travelled, b, variance))
-        self._walls = [w for w in self._walls if travelled - w[0] < MEMORY]
-        if self._walls:
-            self.value = _robust_mean(np.array(self._walls))
+        self._bends.add(surfels, travelled, self.value)
+        step = pose[:2] - self._last[:2]
+        if math.hypot(*step) < EVERY:
+            return
+        normal, slant = _direction(surfels)
+        if not math.isnan(normal):
+            self._normal = normal
+        if not np.isnan(step).any() and not math.isnan(self._normal):
+            across = self._normal + pose[2]
+            along = float(step[1] * math.cos(across) - step[0] * math.sin(across))
+            self._way += along
+            self._turned += along * self.value
+        self._last = pose.copy()
+        if not math.isnan(normal):
+            self._look(normal + pose[2], slant)
 
-
-def _robust_mean(walls: Array) -> float:
-    """
-    Return the Geman-McClure mean of the walls (n, 3) and the prior.
-
-    How straight walls are in this street is read from how much they differ (median absolute
-    deviation); where two planes were taken for one they differ wildly.
-    """
-    value, variance = walls[:, 1], walls[:, 2]
-    z = (value - np.median(value)) / np.sqrt(variance)
-    variance = variance * max(1.48 * float(np.median(np.abs(z))), 0.3) ** 2
-    mean = float(np.median(value))
-    for _ in range(10):
-        robust = (1.0 + (value - mean) ** 2 / (4.0 * variance)) ** -2.0 / variance / SAME_WALL
-        mean = (robust @ value + MEAN / SIGMA ** 2) / (robust.sum() + SIGMA ** -2)
-    return float(mean)
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _wall(
-    surfels: Array, use: NDArray[np.bool_], known: float,
-) -> tuple[bool, float, float]:
-    """
-    Find the longest wall among the surfels in use, and use it up.
-
-    Returns whether there was one, its b, and the variance of that, infinite where it is too
-    short to tell.
-    """
-    angle, offset = _longest(surfels, use)
-    if math.isnan(angle):
-        return False, 0.0, np.inf
-    nx, ny = math.cos(angle), math.sin(angle)
-    fit, row = np.array([offset, 0.0, known]), np.empty(3)
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    for iteration in range(4):
-        scale = SCALE * (4.0, 2.0, 1.0, 1.0)[iteration]
-        matrix[:], right[:] = 0.0, 0.0
-        low, high, total, spread = np.inf, -np.inf, 0.0, 0.0
-        for k in range(len(surfels)):
-            facing = nx * surfels[k, NX] + ny * surfels[k, NY]
-            if not use[k] or abs(facing) < 0.98:
-                continue
-            across = nx * surfels[k, X] + ny * surfels[k, Y]
-            # a range short by e moves the surfel by e cos(incidence) along its normal
-            row[0], row[1] = 1.0, -ny * surfels[k, X] + nx * surfels[k, Y]
-            row[2] = surfels[k, PULL] if facing > 0.0 else -surfels[k, PULL]
-            e = across - (fit[0] + fit[1] * row[1] + fit[2] * row[2])
-            if abs(e) > 5.0 * scale:
-                use[k] = iteration < 3 or abs(e) > 0.15
-                continue
-            use[k] = iteration < 3
-            w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
-            total += w
-            spread += w * e * e
-            low, high = min(low, row[1]), max(high, row[1])
-            for i in range(3):
-                right[i] += w * row[i] * across
-                for j in range(3):
-                    matrix[i, j] += w * row[i] * row[j]
-        if total < 40.0 or high - low < MIN_LENGTH:
-            for k in range(len(surfels)):
-                if abs(nx * surfels[k, X] + ny * surfels[k, Y] - offset) < 0.15:
-                    use[k] = False
-            return True, 0.0, np.inf
-        fit = np.linalg.solve(matrix, right)
-    return True, fit[2], max(spread / total, 0.004 ** 2) * np.linalg.inv(matrix)[2, 2] * 30.0
+    def _look(self, direction: float, slant: float) -> None:
+        """Take a wall's direction in the first scan's frame, and what b turns it at its slant."""
+        turned = CANDIDATES * (TURN * self._way + slant) - TURN * self._turned
+        _gather(((direction - turned) % math.pi) / BIN, KERNEL, self._seen, self._together)
+        self._looks += 1
+        weight = self._looks / SAME_WALL
+        log = self._log + weight * np.log(self._together / self._together.max())
+        if abs(self._way) > STREET:
+            self._log = log
+            self._seen[:] = self._together[:] = 0.0
+            self._looks, self._way, self._turned = 0, 0.0, 0.0
+        mean, information = self._bends.mean()
+        log = log - 0.5 * information * (CANDIDATES - mean) ** 2
+        likely = np.exp(log - log.max())
+        self.value = float(likely @ CANDIDATES / likely.sum())
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _longest(surfels: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return normal angle and offset of the line most surfels lie on, NaN where too few do."""
+def _gather(places: Array, kernel: Array, seen: Array, together: Array) -> None:
+    """Add one direction at its bin for each candidate, and how it falls together with others."""
+    bins = seen.shape[1]
+    reach = len(kernel) // 2
+    for c in range(len(places)):
+        k = int(places[c]) % bins
+        near = 0.0
+        for i in range(-reach, reach + 1):
+            near += kernel[reach + i] * seen[c, (k + i) % bins]
+        together[c] += 1.0 + 2.0 * near
+        seen[c, k] += 1.0
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _direction(surfels: Array) -> tuple[float, float]:
+    """
+    Return the commonest normal, pointing away from the scanner, and by how much b turns it.
+
+    The latter for the slants at which its surfels are met, radians by 1/m; both are NaN where
+    there is too little to tell.
+    """
     votes = np.zeros(180)
     for k in range(len(surfels)):
-        if use[k]:
-            votes[int(math.degrees(math.atan2(surfels[k, NY], surfels[k, NX])) + 180.0)
-                  % 180] += 1.0
+        votes[int(math.degrees(math.atan2(surfels[k, NY], surfels[k, NX])) + 180.0) % 180] += 1.0
     smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
     best = int(np.argmax(smooth))
     if smooth[best] < 60.0:
-        return np.nan, 0.0
-    # mean direction of the bin, normals half a turn apart counting as one
-    c, s = 0.0, 0.0
-    for k in range(len(surfels)):
-        a = math.atan2(surfels[k, NY], surfels[k, NX])
-        if use[k] and abs((math.degrees(a) - best - 0.5 + 90.0) % 180.0 - 90.0) < 1.5:
-            c += math.cos(2.0 * a)
-            s += math.sin(2.0 * a)
-    angle = 0.5 * math.atan2(s, c)
-    nx, ny = math.cos(angle), math.sin(angle)
-    offsets = np.zeros(1200)
-    for k in range(len(surfels)):
-        if use[k] and abs(nx * surfels[k, NX] + ny * surfels[k, NY]) > 0.98:
-            b = int((nx * surfels[k, X] + ny * surfels[k, Y]) / 0.1 + 600.0)
-            if 0 <= b < 1200:
-                offsets[b] += 1.0
-    smooth = offsets + np.roll(offsets, 1) + np.roll(offsets, -1)
-    best = int(np.argmax(smooth))
-    if smooth[best] < 40.0:
-        return np.nan, 0.0
-    return angle, (best + 0.5 - 600.0) * 0.1
+        return np.nan, np.nan
+    middle = math.radians(best + 0.5)
+    nx, ny = math.cos(middle), math.sin(middle)
+    beyond, mean, slant = 0.0, 0.0, 0.0
+    for iteration in range(6):
+        total, turned, slanted = 1e-12, 0.0, 0.0
+        for k in range(len(surfels)):
+            off = math.atan2(nx * surfels[k, NY] - ny * surfels[k, NX],
+                             nx * surfels[k, NX] + ny * surfels[k, NY])
+            off -= math.pi * round(off / math.pi)
+            if abs(off) > NEAR:
+                continue
+            across = nx * surfels[k, X] + ny * surfels[k, Y]
+            along = nx * surfels[k, Y] - ny * surfels[k, X]
+            w = 1.0 / (max(surfels[k, NORMAL_VAR], 1e-5) + SPREAD ** 2)
+            beyond += math.copysign(1.0, across)
+            if iteration > 0:
+                w /= (1.0 + ((off - mean) / SPREAD) ** 2) ** 2
+            away = max(abs(across), 2.0)
+            r = math.hypot(across, along)
+            total += w
+            turned += w * off
+            slanted += w * math.copysign(2.0 * along * r + along ** 3 / r, along * across) / away
+        mean, slant = turned / total, slanted / total
+    return middle + mean + (0.0 if beyond > 0.0 else math.pi), slant

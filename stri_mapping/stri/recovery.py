@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
 TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
 ACCELERATIONS = (0.0, -2.5, 2.5)        # m/s^2
+MANY = 20                   # scans, fewer do not tell an acceleration
 FARTHEST = 12.0             # m/s from the path's speed to the farthest that is tried
 DOUBTED = 5.0               # m/s, the least reach when the path is doubted
 MARGIN = 0.004              # metres, the least by which a proposal must be better
@@ -55,7 +56,8 @@ def another_motion(
     if np.mean([np.isfinite(ranges).mean() for _, _, ranges in profiles]) < SEEN:
         return None
     reach = min(max(6.0 * sigma, DOUBTED * doubted), FARTHEST)
-    searches = [_search_around(profiles, mount, now, reach, a) for a in ACCELERATIONS]
+    rates = ACCELERATIONS if len(profiles) >= MANY else ACCELERATIONS[:1]
+    searches = [_search_around(profiles, mount, now, reach, a) for a in rates]
     search = min(searches, key=SlopeSearch.coarse_cost)
     twist, cost = search.best()
     least = min([each.cost_of(now) for each in searches]
