@@ -7,6 +7,7 @@ Judged at the horizontal scanner in the plane, its true path from the full six d
 freedom: pitch moves a scanner 1.2 m up against base_link, and that is motion it rightly sees.
 
     python benchmarks/estimator.py street corner --seeds 1 2 3
+    python benchmarks/estimator.py street corner --pull 4e-5
     python benchmarks/estimator.py campus street --seeds 1 --ablate
 """
 
@@ -128,10 +129,13 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--no-range-error', action='store_true',
                         help='do not learn the pull of slanted footprints')
+    parser.add_argument('--pull', type=float,
+                        help='of slanted footprints, 1/m, as an earlier drive has told it')
     parser.add_argument('--ablate', action='store_true',
                         help='rows without each part of the estimator')
     args = parser.parse_args()
-    config = EstimatorConfig(joint=JointConfig(learn_error=not args.no_range_error))
+    config = EstimatorConfig(
+        joint=JointConfig(learn_error=not args.no_range_error)).knowing(args.pull)
     StriEstimator(np.eye(4), config).warm_up()
     print('| drive | drift % | heading deg | velocity rmse m/s | worst speed % | standing m/s '
           '| not observable s | ms a scan, mean (longest) |\n|---|---|---|---|---|---|---|---|')

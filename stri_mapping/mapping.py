@@ -17,7 +17,7 @@ from stri_mapping.facade.writer import facade_facts, FacadeWriter
 from stri_mapping.motion_file import MotionWriter
 from stri_mapping.results import RANGE_IMAGE_NAME
 from stri_mapping.scan import Scan, ScanCounts
-from stri_mapping.stri.estimator import StriEstimator
+from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
 from stri_mapping.summary import scanner_facts
 from stri_mapping.vehicle import Scanner, Vehicle
 
@@ -43,7 +43,9 @@ class Mapper:
         """Open the result files and compile the estimator where it is not yet."""
         self.vehicle = vehicle
         self.folder = folder
-        self.estimator = StriEstimator(vehicle.horizontal.T_base_laser)
+        self.estimator = StriEstimator(
+            vehicle.horizontal.T_base_laser,
+            EstimatorConfig().knowing(vehicle.horizontal.footprint_pull))
         self.estimator.warm_up()
         self.aligner = FacadeAligner(vehicle.verticals,
                                      vehicle.horizontal.T_base_laser[:3, 3])
@@ -113,6 +115,8 @@ class Mapper:
             the finished cloud, reading included; compiling and the report are not.
         ms_per_scan
             Mean time of the estimator alone for a horizontal scan.
+        footprint_pull
+            1/m, as learnt by the end of the drive.
 
         """
         wall = time.perf_counter() - self._started
@@ -122,6 +126,7 @@ class Mapper:
             'scans': len(stamps), 'wall_s': round(wall, 3),
             'real_time_factor': round(recorded / wall, 2),
             'ms_per_scan': round(1e3 * self._estimating / max(len(stamps), 1), 3),
+            'footprint_pull': self.estimator.footprint_pull,
             **facade_facts(self.aligner), **self._motion.facts(),
             'scanners': [scanner_facts(self.vehicle, s, self._stamps[s.name], counts.get(s.name))
                          for s in self.vehicle.scanners]}

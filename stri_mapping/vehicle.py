@@ -23,6 +23,7 @@ from stri_mapping.errors import VehicleError
 Array = NDArray[np.float64]
 Role = Literal['horizontal', 'vertical']
 ROLES: tuple[Role, ...] = ('horizontal', 'vertical')
+MAX_PULL = 9e-5         # 1/m, twice that of the widest beam of these scanners
 logger = logging.getLogger(__name__)
 
 
@@ -45,6 +46,9 @@ class Scanner:
         Topic of its scans.
     port
         Settings of the serial port, passed on to the driver as they are.
+    footprint_pull
+        By which its ranges fall short on slanted surfaces, 1/m (see `stri.range_error`); None
+        where an earlier drive has not told it.
 
     """
 
@@ -54,6 +58,7 @@ class Scanner:
     frame: str
     topic: str
     port: Mapping[str, Any] = field(default_factory=dict)
+    footprint_pull: float | None = None
 
     @property
     def planar_mount(self) -> Array:
@@ -124,7 +129,9 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
         'name': s.name, 'role': s.role, 'frame': s.frame or f'{s.name}_laser', 'topic': s.topic,
         'mount': {'xyz': s.T_base_laser[:3, 3].tolist(),
                   'rpy': geometry.rpy_from_rotation(s.T_base_laser[:3, :3]).tolist()},
-        'port': dict(s.port)} for s in vehicle.scanners]
+        'port': dict(s.port),
+        **({} if s.footprint_pull is None else {'footprint_pull': s.footprint_pull})}
+        for s in vehicle.scanners]
     path.write_text(yaml.safe_dump({'scanners': entries}, sort_keys=False), encoding='utf-8')
 
 
@@ -180,7 +187,7 @@ def load_vehicle(path: Path) -> Vehicle:
 def _scanner(entry: Any, index: int) -> Scanner:
     where = f'scanners[{index}]'
     fields = _fields(entry, where, required=('name', 'role', 'mount'),
-                     optional=('frame', 'topic', 'port'))
+                     optional=('frame', 'topic', 'port', 'footprint_pull'))
     name, role = fields['name'], fields['role']
     if not isinstance(name, str) or not re.fullmatch(r'[a-z][a-z0-9_]*', name):
         raise VehicleError(f'{where}.name is {name!r}: want lower-case letters, digits and "_"')
@@ -196,8 +203,19 @@ def _scanner(entry: Any, index: int) -> Scanner:
     for key in ('frame', 'topic'):
         if key in fields and (not isinstance(fields[key], str) or not fields[key]):
             raise VehicleError(f'{name}.{key} is {fields[key]!r}: want a name')
-    return Scanner(name, role, geometry.transform(xyz, rpy),
-                   fields.get('frame', f'{name}_laser'), fields.get('topic', f'{name}/scan'), port)
+    pull = _pull(fields['footprint_pull'], name) if 'footprint_pull' in fields else None
+    return Scanner(name, role, geometry.transform(xyz, rpy), fields.get('frame', f'{name}_laser'),
+                   fields.get('topic', f'{name}/scan'), port, pull)
+
+
+def _pull(value: Any, name: str) -> float:
+    try:
+        pull = float(value)                 # YAML takes 4e-5, without a point, for text
+    except (TypeError, ValueError):
+        pull = np.nan
+    if not 0.0 <= pull <= MAX_PULL:
+        raise VehicleError(f'{name}.footprint_pull is {value!r}: want 1/m from 0 to {MAX_PULL:g}')
+    return pull
 
 
 def _fields(entry: Any, where: str, required: tuple[str, ...],

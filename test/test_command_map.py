@@ -77,7 +77,8 @@ def test_the_results_folder_is_complete_and_agrees_with_itself(bag: Path, result
         181 * sum(s['scans'] for s in summary['scanners'] if s['role'] == 'vertical'))
     assert {s['name']: s.get('point_source_id') for s in summary['scanners']} == {
         'horizontal': None, 'vertical_fore': 1, 'vertical_side': 2, 'vertical_aft': 3}
-    assert {'real_time_factor', 'ms_per_scan', 'degenerate_s', 'warnings'} <= summary.keys()
+    assert {'real_time_factor', 'ms_per_scan', 'degenerate_s', 'warnings',
+            'footprint_pull'} <= summary.keys()
 
 
 def test_columns_stand_six_metres_apart(results: Path, truth: Trajectory) -> None:

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from stri_mapping.errors import VehicleError
-from stri_mapping.vehicle import default_vehicle_file, load_vehicle
+from stri_mapping.vehicle import default_vehicle_file, load_vehicle, write_vehicle
 
 
 @pytest.fixture
@@ -56,6 +56,8 @@ def set_in(content, path, value):
     (['scanners', 0, 'mount'], 5, 'want a mapping'),
     (['scanners', 0, 'port'], 'ttyUSB0', 'want a mapping such as'),
     (['scanners', 0, 'topic'], 7, 'topic is 7'),
+    (['scanners', 0, 'footprint_pull'], 4.0, 'want 1/m from 0 to 9e-05'),
+    (['scanners', 0, 'footprint_pull'], 'little', 'want 1/m from 0 to 9e-05'),
 ])
 def test_faults_are_named_with_file_and_field(tmp_path, content, path, value, message):
     set_in(content, path, value)
@@ -63,6 +65,18 @@ def test_faults_are_named_with_file_and_field(tmp_path, content, path, value, me
         load(tmp_path, content)
     assert str(caught.value).startswith(str(tmp_path / 'vehicle.yaml'))
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('written', [4e-5, '4e-5'])
+def test_the_footprint_pull_is_read_and_written_again(tmp_path, content, written):
+    content['scanners'][0]['footprint_pull'] = written
+    path = tmp_path / 'vehicle.yaml'
+    path.write_text(yaml.safe_dump(content))
+    for _ in range(2):
+        vehicle = load_vehicle(path)
+        assert vehicle.horizontal.footprint_pull == 4e-5
+        assert vehicle.verticals[0].footprint_pull is None
+        write_vehicle(path, vehicle)
 
 
 def test_a_missing_key_is_named(tmp_path, content):

@@ -103,7 +103,9 @@ class StriEstimatorNode:
         self._resumed_at = len(self._input.stamps)      # scans that came before a crash
 
     def _new_estimator(self) -> StriEstimator:
-        return StriEstimator(self._vehicle.horizontal.T_base_laser, self.settings.estimator)
+        scanner = self._vehicle.horizontal
+        return StriEstimator(scanner.T_base_laser,
+                             self.settings.estimator.knowing(scanner.footprint_pull))
 
     def _advertise(self) -> None:
         self._odometry = advertise(self.node, Odometry, 'odom', 100)
@@ -190,7 +192,8 @@ class StriEstimatorNode:
         if newest is None:
             return Report(OK, 'starting up', values)
         values |= {'Speed': f'{newest.twist[0]:.2f} m/s', 'Quality': f'{newest.quality:.2f}',
-                   'Distance': f'{self._distance:.1f} m'}
+                   'Distance': f'{self._distance:.1f} m',
+                   'Footprint pull': f'{1e5 * self._estimator.footprint_pull:.1f}e-5 1/m'}
         latency = float(np.percentile(self._latencies, 95)) if self._latencies else np.inf
         if abs(latency) < REAL_TIME:        # else the scans are not of now
             values['Latency'] = f'{latency:.1f} ms'
@@ -221,6 +224,7 @@ class StriEstimatorNode:
         scans = self._input.stamps
         return {'scans': len(scans), **self._writer.facts(),
                 'ms_per_scan': round(1e3 * self._seconds_busy / max(len(scans), 1), 3),
+                'footprint_pull': self._estimator.footprint_pull,
                 'scanners': [scanner_facts(self._vehicle, self._vehicle.horizontal, scans,
                                            self._input.counts)]}
 

@@ -10,7 +10,7 @@ poses again when they are final, at most two seconds later.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,9 @@ from stri_mapping.stri.trust import LABELS, MOVES
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-
 RECENT = 0.64               # seconds of scans kept for proposing a motion
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
+KNOWN_PULL_SIGMA = 0.5e-5   # 1/m, of a pull that an earlier drive has told
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
 
 
@@ -61,6 +61,12 @@ class EstimatorConfig:
     lost_sigma: float = 0.4
     image_window: float = 8.0
     joint: JointConfig = field(default_factory=JointConfig)
+
+    def knowing(self, pull: float | None) -> EstimatorConfig:
+        """Return the same settings for a scanner whose footprint pull is known, 1/m or None."""
+        if pull is None:
+            return self
+        return replace(self, joint=replace(self.joint, pull=pull, pull_sigma=KNOWN_PULL_SIGMA))
 
 
 class StriEstimator:
@@ -105,6 +111,11 @@ class StriEstimator:
             ranges = np.where((np.arange(180) + i // 10) % 30 < 15, 5.0, 8.0)
             other.add(Scan(i * 13_320_000, ranges, angles, np.zeros(180)))
         other.finish()
+
+    @property
+    def footprint_pull(self) -> float:
+        """By how much ranges fall short on slanted surfaces, 1/m, as learnt so far."""
+        return self.config.joint.pull if self._path is None else self._path.error.value
 
     def add(self, scan: Scan) -> Estimate | None:
         """
