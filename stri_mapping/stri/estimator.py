@@ -274,8 +274,10 @@ class StriEstimator:
         sigma, doubted = self._path.sigma, self._path.trust.agreement < DOUBT
         if sigma < self.config.lost_sigma and not doubted:
             return None
-        now = self._estimate(*self._pending[-1]).twist
-        return another_motion(list(self._profiles), self._mount, now, sigma, doubted)
+        end, begin = self._pending[-1][1], self._profiles[0][0]
+        now, before = (self._estimate(0, time).twist for time in (end, begin))
+        gain = (now[0] - before[0]) / max(end - begin, self._path.h)
+        return another_motion(list(self._profiles), self._mount, now, gain, sigma, doubted)
 
     def _release(self, until: float) -> None:
         assert self._path is not None

@@ -29,7 +29,7 @@ APART = 1.5                 # m/s to other speeds that must be clearly worse
 
 
 def another_motion(
-    profiles: list[Profile], mount: Array, now: Array, sigma: float, doubted: bool,
+    profiles: list[Profile], mount: Array, now: Array, gain: float, sigma: float, doubted: bool,
 ) -> tuple[Array, float] | None:
     """
     Look for a motion that tells scans decisively better than that of the path.
@@ -42,6 +42,8 @@ def another_motion(
         (3,) planar pose of the scanner in base_link.
     now
         (3,) twist of base_link as the path has it.
+    gain
+        Acceleration in m/s^2 by which it has come to its speed.
     sigma
         Standard deviation of its speed in m/s: speeds within six are tried.
     doubted
@@ -60,8 +62,9 @@ def another_motion(
     searches = [_search_around(profiles, mount, now, reach, a) for a in rates]
     search = min(searches, key=SlopeSearch.coarse_cost)
     twist, cost = search.best()
-    least = min([each.cost_of(now) for each in searches]
-                + [search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)])
+    own = min(searches, key=lambda each: abs(each.acceleration - gain))
+    least = min(own.cost_of(now),
+                *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
     inside = abs(twist[0] - now[0]) < 0.9 * reach
     better = inside and cost < DECISIVE * least and cost < least - MARGIN
     return (twist, search.acceleration) if better else None
