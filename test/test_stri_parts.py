@@ -14,6 +14,7 @@ from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
+from stri_mapping.stri.recovery import another_motion
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
@@ -185,6 +186,27 @@ def test_a_candidate_that_accelerates_tells_the_speed_at_the_end(speed):
     mean, worse = steady.best()
     assert mean[0] < speed - 0.3 and cost < worse
     assert gaining.coarse_cost() < steady.coarse_cost()
+
+
+@pytest.mark.parametrize('rate', [2.5, -2.5])
+def test_another_motion_is_found_while_speed_is_gained_or_lost(rate):
+    rng, end = np.random.default_rng(9), 0.01332 * 45
+    speed = 4.0 + rate * end
+    profiles = []
+    for k in range(46):
+        t = 0.01332 * k
+        moved = speed * (t - end) + 0.5 * rate * (t - end) ** 2
+        scan = scan_at(t, np.array([moved, 0.0, 0.0]), WALL + COLUMNS, noise=0.01, rng=rng)
+        profiles.append((t, ANGLES, scan.ranges))
+    # the path stayed behind, and has hardly changed its speed
+    found = another_motion(profiles, LEFT, np.array([4.0, 0.0, 0.0]), 0.1 * rate, 0.5, True)
+    assert found is not None
+    twist, acceleration = found
+    # rays 0.1 m apart at 6 m, scans 0.45 s apart
+    assert twist[0] == pytest.approx(speed, abs=0.1 / 0.45) and acceleration == rate
+    # a path that is right is left alone
+    true = np.array([speed, 0.0, 0.0])
+    assert another_motion(profiles, LEFT, true, rate, 0.5, True) is None
 
 
 def test_without_anything_to_see_the_proposal_is_to_stand():
