@@ -36,7 +36,10 @@ class JointConfig:
     Attributes
     ----------
     active
-        Knots that are still fitted; older ones are final.
+        Knots that are still fitted.
+    kept
+        Knots that are not final yet, but laid anew where a lost motion is taken up; as many as
+        `active` where scans are rare.
     lags
         Keyframes back that a new one is paired with.
     distances
@@ -66,6 +69,7 @@ class JointConfig:
     """
 
     active: int = 12
+    kept: int = 17
     lags: tuple[int, ...] = (1, 2, 4, 7)
     distances: tuple[float, ...] = (3.0, 6.0, 10.0)
     span: float = 0.1
@@ -88,7 +92,6 @@ SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
-RESTART = 10           # knot intervals laid anew when the motion is taken up again
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
@@ -122,12 +125,14 @@ class JointPath:
         self.knots = np.zeros((1024, 3))
         self.step = 0             # steps done: the spline is valid before step * h
         self.first = 0            # first knot still active
+        self.settled = 0          # first knot that is not final
         self.sigma = np.inf       # of the speed at the newest knot, m/s
         self.uncertainty = Uncertainty(spacing)
         self.error = RangeError(config.pull, config.pull_sigma)
         self.trust = Trust()
         self.window = Window(spacing, angle_step, config.lags, config.distances, config.active)
         self.slow = spacing > SLOW
+        self._kept = config.active if self.slow else config.kept
         self._start = 0           # knot at which the motion was taken up
         self._forward = forward
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
@@ -152,6 +157,7 @@ class JointPath:
         self._fit(0, last, min(times, default=np.inf), START_SCALES, START_ITERATIONS)
         # the first pose is where odom begins: it is final with the first fit
         self.first = max(4, last + 1 - self.config.active)
+        self.settled = 4
 
     def advance(self, twist: Array | None = None) -> None:
         """
@@ -171,6 +177,7 @@ class JointPath:
         if twist is not None:
             self._lay(twist)
         self.first = max(self.first, last - self.config.active)
+        self.settled = max(self.settled, last - self._kept)
         self.window.forget((self.first - 3) * self.h)
         newest = self._keyframe(self.step)
         self._fit(self.first, last, newest, SCALES, self.config.iterations)
@@ -192,13 +199,14 @@ class JointPath:
         ----------
         twist, acceleration
             (3,) of the scanner in its own frame at the newest knot, and its change in a second:
-            the newest `RESTART` knot intervals are laid anew along it, from where the path was,
-            and fitted to their own scans alone.
+            all that is not final is laid anew along it, from where the path was, and fitted to
+            its own scans alone.
 
         """
-        begin = self.step - RESTART
-        t = np.arange(RESTART + 3)[:, None] * self.h
-        along = geometry.exp(t * twist + (0.5 * t - RESTART * self.h) * t * acceleration)
+        begin = self.settled - 1
+        span = self.step - begin
+        t = np.arange(span + 3)[:, None] * self.h
+        along = geometry.exp(t * twist + (0.5 * t - span * self.h) * t * acceleration)
         self.knots[begin + 1:self.step + 4] = geometry.compose(self.pose(begin * self.h), along)
         self._start = begin + 2
         self.trust.pardon()
@@ -208,7 +216,7 @@ class JointPath:
     @property
     def final_until(self) -> float:
         """Time before which the path will not change any more."""
-        return (self.first - 3) * self.h
+        return (self.settled - 3) * self.h
 
     def pose(self, t: float) -> Array:
         """Return the pose (3,) at a time; just beyond the newest knot it is extrapolated."""
