@@ -132,7 +132,7 @@ class JointPath:
         self.trust = Trust()
         self.window = Window(spacing, angle_step, config.lags, config.distances, config.active)
         self.slow = spacing > SLOW
-        self._kept = config.active if self.slow else config.kept
+        self._kept = config.active if self.slow else max(config.active, config.kept)
         self._start = 0           # knot at which the motion was taken up
         self._forward = forward
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
