@@ -205,9 +205,12 @@ class JointPath:
         """
         begin = self.settled - 1
         span = self.step - begin
-        t = np.arange(span + 3)[:, None] * self.h
-        along = geometry.exp(t * twist + (0.5 * t - span * self.h) * t * acceleration)
-        self.knots[begin + 1:self.step + 4] = geometry.compose(self.pose(begin * self.h), along)
+        before = self.h * np.arange(-span, 3)[:, None]
+        twists = twist + before * acceleration
+        twists[twists[:, :2] @ twist[:2] < 0.0] = 0.0   # it stood, rather than went the other way
+        way = self.h * (np.cumsum(twists, axis=0) - 0.5 * (twists[0] + twists))
+        self.knots[begin + 1:self.step + 4] = geometry.compose(
+            self.pose(begin * self.h), geometry.exp(way))
         self._start = begin + 2
         self.trust.pardon()
         newest = self.window.rebuild(begin * self.h, self.knots)
