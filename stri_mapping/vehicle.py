@@ -23,7 +23,7 @@ from stri_mapping.errors import VehicleError
 Array = NDArray[np.float64]
 Role = Literal['horizontal', 'vertical']
 ROLES: tuple[Role, ...] = ('horizontal', 'vertical')
-MAX_PULL = 9e-5         # 1/m, twice that of the widest beam of these scanners
+PULLS = -3e-5, 9e-5     # 1/m, from what may be learnt of none to twice the widest beam's
 logger = logging.getLogger(__name__)
 
 
@@ -213,8 +213,9 @@ def _pull(value: Any, name: str) -> float:
         pull = float(value)                 # YAML takes 4e-5, without a point, for text
     except (TypeError, ValueError):
         pull = np.nan
-    if not 0.0 <= pull <= MAX_PULL:
-        raise VehicleError(f'{name}.footprint_pull is {value!r}: want 1/m from 0 to {MAX_PULL:g}')
+    if not PULLS[0] <= pull <= PULLS[1]:
+        raise VehicleError(f'{name}.footprint_pull is {value!r}: want 1/m from {PULLS[0]:g} to '
+                           f'{PULLS[1]:g}')
     return pull
 
 

@@ -56,8 +56,8 @@ def set_in(content, path, value):
     (['scanners', 0, 'mount'], 5, 'want a mapping'),
     (['scanners', 0, 'port'], 'ttyUSB0', 'want a mapping such as'),
     (['scanners', 0, 'topic'], 7, 'topic is 7'),
-    (['scanners', 0, 'footprint_pull'], 4.0, 'want 1/m from 0 to 9e-05'),
-    (['scanners', 0, 'footprint_pull'], 'little', 'want 1/m from 0 to 9e-05'),
+    (['scanners', 0, 'footprint_pull'], 4.0, 'want 1/m from -3e-05 to 9e-05'),
+    (['scanners', 0, 'footprint_pull'], 'little', 'want 1/m from -3e-05 to 9e-05'),
 ])
 def test_faults_are_named_with_file_and_field(tmp_path, content, path, value, message):
     set_in(content, path, value)
