@@ -268,15 +268,13 @@ class JointPath:
         window = self.window
         self.trust.votes[:] = self.trust.through[:] = 0.0
         weights = self._weights()
-        for attempt in range(2):
-            self._solve(first, last, scales if attempt == 0 else scales[-2:], newest, iterations,
-                        weights)
-            stale = window.stale(self.knots, first * self.h) if attempt < 1 else []
-            if not stale:
-                break
+        self._solve(first, last, scales, newest, iterations, weights)
+        stale = window.stale(self.knots, first * self.h)
+        if stale:
             for slot in stale:
                 window.build(slot, self.knots)
             window.pairs.renew(stale)
+            self._solve(first, last, scales[-2:], newest, iterations, weights)
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self._speed_sigma()

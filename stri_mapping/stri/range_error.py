@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.keyframe import NORMAL_VAR, NX, NY, X, Y
-from stri_mapping.stri.straightness import Bends
+from stri_mapping.stri.straightness import Bends, commonest_normal
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class RangeError:
         self._way = 0.0           # metres along the walls
         self._turned = 0.0        # m times b that was corrected on the way
         self._normal = math.nan   # of the wall seen last, from the scanner
-        self._last = np.full(3, np.nan)
+        self._last = np.full(2, np.nan)
 
     def learn(self, surfels: Array, pose: Array, travelled: float) -> None:
         """
@@ -85,7 +85,7 @@ class RangeError:
 
         """
         self._bends.add(surfels, travelled, self.value)
-        step = pose[:2] - self._last[:2]
+        step = pose[:2] - self._last
         if math.hypot(*step) < EVERY:
             return
         normal, slant = _direction(surfels)
@@ -96,7 +96,7 @@ class RangeError:
             along = float(step[1] * math.cos(across) - step[0] * math.sin(across))
             self._way += along
             self._turned += along * self.value
-        self._last = pose.copy()
+        self._last = pose[:2].copy()
         if not math.isnan(normal):
             self._look(normal + pose[2], slant)
 
@@ -139,12 +139,8 @@ def _direction(surfels: Array) -> tuple[float, float]:
     The latter for the slants at which its surfels are met, radians by 1/m; both are NaN where
     there is too little to tell.
     """
-    votes = np.zeros(180)
-    for k in range(len(surfels)):
-        votes[int(math.degrees(math.atan2(surfels[k, NY], surfels[k, NX])) + 180.0) % 180] += 1.0
-    smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
-    best = int(np.argmax(smooth))
-    if smooth[best] < 60.0:
+    best = commonest_normal(surfels, np.ones(len(surfels), np.bool_))
+    if best < 0:
         return np.nan, np.nan
     middle = math.radians(best + 0.5)
     nx, ny = math.cos(middle), math.sin(middle)

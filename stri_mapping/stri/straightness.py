@@ -71,6 +71,19 @@ class Bends:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def commonest_normal(surfels: Array, use: NDArray[np.bool_]) -> int:
+    """Return in degrees, 0 to 179, where most normals of surfels in use lie, -1 if too few do."""
+    votes = np.zeros(180)
+    for k in range(len(surfels)):
+        if use[k]:
+            votes[int(math.degrees(math.atan2(surfels[k, NY], surfels[k, NX])) + 180.0)
+                  % 180] += 1.0
+    smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
+    best = int(np.argmax(smooth))
+    return best if smooth[best] >= 60.0 else -1
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _wall(
     surfels: Array, use: NDArray[np.bool_], known: float,
 ) -> tuple[bool, float, float]:
@@ -123,14 +136,8 @@ def _wall(
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _longest(surfels: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
     """Return normal angle and offset of the line most surfels lie on, NaN where too few do."""
-    votes = np.zeros(180)
-    for k in range(len(surfels)):
-        if use[k]:
-            votes[int(math.degrees(math.atan2(surfels[k, NY], surfels[k, NX])) + 180.0)
-                  % 180] += 1.0
-    smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
-    best = int(np.argmax(smooth))
-    if smooth[best] < 60.0:
+    best = commonest_normal(surfels, use)
+    if best < 0:
         return np.nan, 0.0
     # mean direction of the bin, normals half a turn apart counting as one
     c, s = 0.0, 0.0
