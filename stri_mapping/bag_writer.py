@@ -126,7 +126,7 @@ class BagWriter:
         """
         at = self._new('geometry_msgs/msg/Point', x=float(pose[0]), y=float(pose[1]),
                        z=float(pose[2]))
-        quat = geometry.quat_from_rotation(geometry.rotation_from_rpy(*pose[3:]))
+        quat = geometry.quat_from_rpy(pose[3:])
         posed = self._new('geometry_msgs/msg/Pose', position=at,
                           orientation=self._quaternion(quat))
         moving = self._new('geometry_msgs/msg/Twist', linear=self._vector(twist[:3]),

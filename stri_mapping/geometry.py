@@ -9,6 +9,8 @@ radians, a spatial one a 4x4 matrix.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -159,11 +161,18 @@ def quat_from_rotation(rotation: ArrayLike) -> Array:
     return np.asarray(quat / np.linalg.norm(quat) * (1.0 if quat[3] >= 0.0 else -1.0))
 
 
-def quat_from_yaw(yaw: ArrayLike) -> Array:
-    """Return quaternions (..., 4) as (x, y, z, w) of rotations about z by yaw in radians."""
-    half = 0.5 * np.asarray(yaw, dtype=float)
-    zero = np.zeros_like(half)
-    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
+def quat_from_rpy(rpy: ArrayLike) -> Array:
+    """Return quaternions (..., 4) as (x, y, z, w), w >= 0, of angles (..., 3), see `transform`."""
+    half = 0.5 * np.asarray(rpy, dtype=float)
+    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(half), -1, 0) for f in (np.sin, np.cos))
+    quat = np.stack([sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+                     cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy], axis=-1)
+    return np.where(quat[..., 3:] < 0.0, -quat, quat)
+
+
+def quat_from_yaw(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion (x, y, z, w) of a rotation about z by yaw in radians."""
+    return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
 
 
 def yaw_from_quat(quat_xyzw: ArrayLike) -> Array:

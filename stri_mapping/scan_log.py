@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import astuple
 import os
 from pathlib import Path
 import struct
@@ -70,7 +69,7 @@ class ScanLog:
     def _write(self, stamps: bytes, first: int) -> None:
         if self._file >= 0:
             os.pwrite(self._file, stamps, HEADER.size + first * self.stamps.itemsize)
-            os.pwrite(self._file, HEADER.pack(*astuple(self.counts)), 0)
+            os.pwrite(self._file, HEADER.pack(*vars(self.counts).values()), 0)
 
     def close(self) -> None:
         """Keep nothing on disk any more: no crash will follow."""

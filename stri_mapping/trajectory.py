@@ -128,14 +128,14 @@ def stamp_text(stamp_ns: int) -> str:
 def tum_line(stamp_ns: int, pose: ArrayLike) -> str:
     """Return one TUM line, ``stamp x y z qx qy qz qw``, all with 9 decimals, stamp exact."""
     x, y, yaw = np.asarray(pose, dtype=float)
-    values = (x, y, 0.0, *geometry.quat_from_yaw(yaw))
+    values = (x, y, 0.0, *geometry.quat_from_yaw(float(yaw)))
     return ' '.join([stamp_text(stamp_ns), *(f'{v:.9f}' for v in values)])
 
 
 def spatial_tum_line(stamp_ns: int, pose: ArrayLike) -> str:
     """Return one TUM line, as `tum_line`, of a pose (6,): x, y, z, roll, pitch, yaw."""
     values = np.asarray(pose, dtype=float)
-    quat = geometry.quat_from_rotation(geometry.rotation_from_rpy(*values[3:]))
+    quat = geometry.quat_from_rpy(values[3:])
     return ' '.join([stamp_text(stamp_ns), *(f'{v:.9f}' for v in (*values[:3], *quat))])
 
 

@@ -84,6 +84,15 @@ def test_wrapped_angles_point_the_same_way(angle):
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
 
 
+@given(st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 3), min_size=1, max_size=5))
+def test_quaternions_of_angles_are_those_of_their_rotations(angles):
+    quats = geometry.quat_from_rpy(angles)
+    assert quats.shape == (len(angles), 4) and np.all(quats[:, 3] >= 0.0)
+    for quat, rpy in zip(quats, angles):
+        np.testing.assert_allclose(
+            geometry.rotation_from_quat(quat), geometry.rotation_from_rpy(*rpy), atol=1e-12)
+
+
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 1e-3))
 def test_rotations_survive_the_quaternion(quat):
     rotation = Rotation.from_quat(quat).as_matrix()

@@ -133,7 +133,7 @@ def test_scans_that_waited_for_a_new_path_are_placed_once_and_forgotten():
         before = scans_alive()
         for _ in range(4):                  # in all but the first, scans come before their path
             for scan in scans:
-                aligner._inputs[1]._take(scan)
+                aligner.inputs[1]._take(scan)
             aligner._take_path(path)
             assert scans_alive() <= before
             assert aligner._aligner.counts.scans == len(scans)

@@ -9,23 +9,24 @@ import os
 from pathlib import Path
 import platform
 import struct
+import threading
 
-# Real-time priorities: bytes go before the rays that later ones are made of.
-CASTING, SENDING = 1, 2
 # Niceness at which a thread gets nine times the processor time of an ordinary one.
 EAGER = -10
+# Niceness at which it gets three times that, and a third of an eager one's.
+KEEN = -5
 AUTOGROUP = Path('/proc/self/autogroup')
 # The system call sched_setattr, and nanoseconds for which a thread that runs seldom wants to run.
 SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}
 SLICE = 100_000
 
 
-def before_others(priority: int) -> bool:
+def before_others() -> bool:
     """
-    Run this thread before all ordinary ones.
+    Run this thread, which sends bytes at their times, before all ordinary ones.
 
-    Where that is not allowed, who sends asks at least for short turns, which Linux 6.12 and
-    later gives sooner; nobody needs a right for that.
+    Where that is not allowed, it asks at least for short turns, which Linux 6.12 and later gives
+    sooner; nobody needs a right for that.
 
     Returns
     -------
@@ -34,10 +35,9 @@ def before_others(priority: int) -> bool:
 
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     except (OSError, AttributeError):
-        if priority == SENDING:
-            _take_short_turns()
+        _take_short_turns()
         return False
     return True
 
@@ -60,6 +60,19 @@ def ahead_of_others() -> bool:
     except OSError:
         return False
     return True
+
+
+def behind_the_eager() -> None:
+    """
+    Let threads with little to do, such as an estimator's, go before this one, which casts rays.
+
+    It works ahead by a second and is not to hold up for whole batches what is being measured:
+    real scanners take no processor time at all.
+    """
+    try:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), KEEN)
+    except OSError:
+        pass
 
 
 def _take_short_turns() -> None:

@@ -16,7 +16,7 @@ from stri_mapping.errors import LmsError
 from stri_mapping.lms.requests import EVERY_TURN
 from stri_mapping.lms_emulator.device import EmulatedLms
 from stri_mapping.lms_emulator.ports import Ports, PtyPort
-from stri_mapping.lms_emulator.priority import before_others, SENDING
+from stri_mapping.lms_emulator.priority import before_others
 from stri_mapping.lms_emulator.process import State, STATE_PERIOD, Turns, Want
 from stri_mapping.lms_emulator.turns import Array, Turn
 
@@ -66,7 +66,7 @@ class _Server:
             begin=begin, seed=setup.seed) for feed, setup in zip(self._feeds, setups)]
         self._ports = Ports(tuple(PtyPort(folder / setup.name, device)
                                   for setup, device in zip(setups, self._devices)))
-        self._first = before_others(SENDING)
+        self._first = before_others()
         self._end: float | None = None          # when hosts have had time to stop their scanners
 
     def run(self) -> None:

@@ -36,7 +36,8 @@ Array = NDArray[np.float64]
 
 # Variance of what a planar estimate does not tell (height, roll, pitch): large but finite.
 UNOBSERVED = 1e6
-PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+NOT_PLANAR = np.diag([0.0, 0.0, UNOBSERVED, UNOBSERVED, UNOBSERVED, 0.0]).ravel()
+PLANAR = np.add.outer([0, 6, 30], [0, 1, 5]).ravel()
 # One facade point in 24 bytes: `time` counts in seconds from the header's stamp.
 NAMES = ('x', 'y', 'z', 'intensity', 'time', 'ring')
 POINT = np.dtype({'names': NAMES, 'formats': [*5 * ['<f4'], '<u2'], 'itemsize': 24})
@@ -72,9 +73,9 @@ def scan_message(timed: TimedScan, frame: str, intensities: bool = True) -> Lase
 
 def covariance_6x6(planar: Array) -> Array:
     """Return the row-major (36,) covariance of (x, y, z, rotX, rotY, rotZ) of a planar one."""
-    full = np.diag([0.0, 0.0, UNOBSERVED, UNOBSERVED, UNOBSERVED, 0.0])
-    full[PLANAR] = 0.5 * (planar + planar.T)     # it comes symmetric to rounding
-    return full.ravel()
+    full = NOT_PLANAR.copy()
+    full[PLANAR] = (0.5 * (planar + planar.T)).ravel()      # it comes symmetric to rounding
+    return full
 
 
 def odometry_message(estimate: Estimate, odom_frame: str, base_frame: str) -> Odometry:
@@ -89,20 +90,20 @@ def odometry_message(estimate: Estimate, odom_frame: str, base_frame: str) -> Od
     return message
 
 
-def truth_message(stamp: int, pose: Array, twist: Array, odom_frame: str = 'odom',
-                  base_frame: str = 'base_link') -> Odometry:
-    """Return a true pose (6,) as x, y, z, roll, pitch, yaw with its velocity (6,)."""
-    message = Odometry(child_frame_id=base_frame)
-    message.header.frame_id = odom_frame
-    message.header.stamp = time_message(stamp)
-    at, turned = message.pose.pose.position, message.pose.pose.orientation
-    at.x, at.y, at.z = (float(v) for v in pose[:3])
-    quat = geometry.quat_from_rotation(geometry.rotation_from_rpy(*pose[3:]))
-    turned.x, turned.y, turned.z, turned.w = (float(v) for v in quat)
-    linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    linear.x, linear.y, linear.z = (float(v) for v in twist[:3])
-    angular.x, angular.y, angular.z = (float(v) for v in twist[3:])
-    return message
+def truth_messages(stamps: Sequence[int], poses: Array, twists: Array) -> Iterator[Odometry]:
+    """Return true poses (n, 6) as x, y, z, roll, pitch, yaw with their velocities (n, 6)."""
+    quats = geometry.quat_from_rpy(poses[:, 3:]).tolist()
+    for stamp, pose, quat, twist in zip(stamps, poses.tolist(), quats, twists.tolist()):
+        message = Odometry(child_frame_id='base_link')
+        message.header.frame_id = 'odom'
+        message.header.stamp = time_message(stamp)
+        at, turned = message.pose.pose.position, message.pose.pose.orientation
+        at.x, at.y, at.z = pose[:3]
+        turned.x, turned.y, turned.z, turned.w = quat
+        linear, angular = message.twist.twist.linear, message.twist.twist.angular
+        linear.x, linear.y, linear.z = twist[:3]
+        angular.x, angular.y, angular.z = twist[3:]
+        yield message
 
 
 def velocity_message(estimate: Estimate, base_frame: str) -> TwistWithCovarianceStamped:
@@ -120,10 +121,9 @@ def transform_message(estimate: Estimate, odom_frame: str, base_frame: str) -> T
     message = TransformStamped(child_frame_id=base_frame)
     message.header.frame_id = odom_frame
     message.header.stamp = time_message(estimate.stamp_ns)
-    x, y, yaw = (float(v) for v in estimate.pose)
+    x, y, yaw = estimate.pose.tolist()
     message.transform.translation.x, message.transform.translation.y = x, y
-    _, _, sin, cos = geometry.quat_from_yaw(yaw)
-    message.transform.rotation.z, message.transform.rotation.w = float(sin), float(cos)
+    _, _, message.transform.rotation.z, message.transform.rotation.w = geometry.quat_from_yaw(yaw)
     return message
 
 
@@ -243,12 +243,10 @@ def _floats(values: Array) -> array[float]:
 
 
 def _set_pose(message: Pose, pose: Array) -> None:
-    x, y, yaw = (float(v) for v in pose)
-    _, _, sin, cos = geometry.quat_from_yaw(yaw)
+    x, y, yaw = pose.tolist()
     message.position.x, message.position.y = x, y
-    message.orientation.z, message.orientation.w = float(sin), float(cos)
+    _, _, message.orientation.z, message.orientation.w = geometry.quat_from_yaw(yaw)
 
 
 def _set_twist(message: Twist, twist: Array) -> None:
-    vx, vy, wz = (float(v) for v in twist)
-    message.linear.x, message.linear.y, message.angular.z = vx, vy, wz
+    message.linear.x, message.linear.y, message.angular.z = twist.tolist()

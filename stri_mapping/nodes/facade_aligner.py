@@ -40,6 +40,7 @@ class FacadeAlignerNode:
     """Feeds the aligner with the vertical scanners' topics and the path; publishes its points."""
 
     upstream = ('trajectory',)
+    prompt = None                               # poses come seconds after the scans
 
     def __init__(self) -> None:
         """Declare, then connect."""
@@ -67,10 +68,10 @@ class FacadeAlignerNode:
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self.node, {'facades': self._report})
         subscribe(self.node, Path, 'trajectory', self._take_path, TRAJECTORY_QOS)
-        self._inputs = [ScanInput(self.node, scanner, partial(self._add_scan, ring),
-                                  partial(self._hold, ring),
-                                  self.settings.scan_log(scanner))
-                        for ring, scanner in enumerate(scanners)]
+        self.inputs = [ScanInput(self.node, scanner, partial(self._add_scan, ring),
+                                 partial(self._hold, ring),
+                                 self.settings.scan_log(scanner))
+                       for ring, scanner in enumerate(scanners)]
 
     def _new_aligner(self) -> FacadeAligner:
         return FacadeAligner(self._vehicle.verticals,
@@ -107,7 +108,7 @@ class FacadeAlignerNode:
         del self._aligner, self._overview
         self._aligner, self._overview = self._new_aligner(), Overview()
         self._yaw, self._mapped = 0.0, 0
-        for ring, each in enumerate(self._inputs):
+        for ring, each in enumerate(self.inputs):
             if ring not in self._ahead:
                 each.forget()
             for scan in self._ahead.pop(ring, []):
@@ -147,8 +148,8 @@ class FacadeAlignerNode:
                   'Roll stabilised (%)': round(100.0 * counts.roll_told / max(counts.points, 1)),
                   'Pitch stabilised (%)': round(100.0 * counts.pitch_told / max(counts.points, 1)),
                   'Yaw corrected (%)': round(100.0 * counts.yaw_told / max(counts.points, 1)),
-                  'Malformed scans': sum(i.counts.malformed for i in self._inputs),
-                  'Scans out of order': sum(i.counts.backwards for i in self._inputs)}
+                  'Malformed scans': sum(i.counts.malformed for i in self.inputs),
+                  'Scans out of order': sum(i.counts.backwards for i in self.inputs)}
         if counts.scans == 0:
             return Report(WARN, 'no scans yet', values)
         if self._newest == 0:
@@ -165,13 +166,13 @@ class FacadeAlignerNode:
         self._publish(self._take())
         self._publish_map()
         self._results.close(self._facts)
-        for each in self._inputs:
+        for each in self.inputs:
             each.close()
 
     def _facts(self) -> dict[str, Any]:
         return {**facade_facts(self._aligner),
                 'scanners': [scanner_facts(self._vehicle, scanner, each.stamps, each.counts)
-                             for scanner, each in zip(self._vehicle.verticals, self._inputs)]}
+                             for scanner, each in zip(self._vehicle.verticals, self.inputs)]}
 
 
 @cache

@@ -10,7 +10,7 @@ the end of terminal or supervisor, only asks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 import ctypes
 import logging
 import os
@@ -29,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from stri_mapping.errors import EXIT_CRASH, EXIT_DATA, EXIT_USAGE, StriMappingError, UsageError
 from stri_mapping.node_process import SUPERVISOR_VARIABLE
+from stri_mapping.nodes.scan_input import ScanInput
 
 PR_SET_PDEATHSIG = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -37,6 +38,10 @@ ACKNOWLEDGE = Duration(seconds=10)
 # Seconds a node that was stopped waits for the end of those that feed it: all may be stopped at
 # once, and the last poses come when the estimator has finished.
 PATIENCE = 3.0
+# Seconds between two turns of everything of a node but its scans.
+TURN = 0.1
+# Seconds without anything new after which readers count as empty.
+QUIET = 0.2
 
 
 class ProcessingNode(Protocol):
@@ -45,6 +50,14 @@ class ProcessingNode(Protocol):
     @property
     def node(self) -> Node:
         """The ROS node."""
+
+    @property
+    def inputs(self) -> Sequence[ScanInput]:
+        """Scans, to be taken now and then."""
+
+    @property
+    def prompt(self) -> ScanInput | None:
+        """That of them whose scans are to be taken as they come, if any."""
 
     @property
     def upstream(self) -> Collection[str]:
@@ -123,13 +136,21 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(processing.node)
     try:
+        turn = 0.0
         while not stop.requested:
-            executor.spin_once(timeout_sec=0.1)
-        drain(executor)
+            if processing.prompt is None:
+                executor.spin_once(timeout_sec=TURN)
+            else:
+                processing.prompt.wait(TURN)
+                if time.monotonic() > turn:
+                    turn = time.monotonic() + TURN
+                    _run_ready(executor, 0.0)
+            _take(processing)
+        _take_rest(processing, executor)
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end and any(
                 processing.node.count_publishers(topic) for topic in processing.upstream):
-            drain(executor)
+            _take_rest(processing, executor)
         processing.finish()
         for publisher in processing.node.publishers:
             publisher.wait_for_all_acked(ACKNOWLEDGE)
@@ -138,15 +159,28 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
         processing.node.destroy_node()
 
 
-def drain(executor: SingleThreadedExecutor) -> None:
-    """Run callbacks until nothing has been ready for a moment: the readers are empty then."""
+def _take(processing: ProcessingNode) -> bool:
+    """Take scans that have gathered; return whether there were any."""
+    return sum(each.take() for each in processing.inputs) > 0
+
+
+def _run_ready(executor: SingleThreadedExecutor, quiet: float) -> bool:
+    """Run callbacks until none has been ready for some seconds; return whether any was."""
+    ran = False
     while True:
         try:
-            callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.2)
+            callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=quiet)
         except TimeoutException:
-            return
+            return ran
         callback()
         callback.result()
+        ran = True
+
+
+def _take_rest(processing: ProcessingNode, executor: SingleThreadedExecutor) -> None:
+    """Run callbacks and take scans until nothing has come for a moment."""
+    while _run_ready(executor, QUIET) | _take(processing):
+        pass
 
 
 def warn_of_unknown_parameters(node: Node) -> None:

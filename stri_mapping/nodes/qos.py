@@ -13,7 +13,6 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any, TypeVar
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -55,11 +54,10 @@ def advertise(node: Node, kind: type[Any], topic: str, qos: QoSProfile | int,
 
 
 def subscribe(node: Node, kind: type[Any], topic: str, callback: Callable[[Any], None],
-              qos: QoSProfile, events: SubscriptionEventCallbacks | None = None) -> Subscription:
-    """Return a subscription; everything else is as with `advertise`."""
+              qos: QoSProfile, **more: Any) -> Subscription:
+    """Return a subscription; `more` goes to rclpy, everything else is as with `advertise`."""
     made: Subscription = _made(topic, lambda options: node.create_subscription(
-        kind, topic, callback, _own(qos), event_callbacks=events,
-        qos_overriding_options=options))
+        kind, topic, callback, _own(qos), qos_overriding_options=options, **more))
     return made
 
 

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import islice
 
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
+from stri_mapping.nodes.polling import Polled, take_all, UNEVENTFUL, wait_for
 from stri_mapping.nodes.qos import subscribe
 from stri_mapping.scan import Scan, ScanCounts, ScanIntake, stamp_ns
 from stri_mapping.scan_log import ScanLog
@@ -20,14 +22,19 @@ from stri_mapping.vehicle import Scanner
 LOSSLESS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 # Stamps that go back so far are not out of order: time itself was set back, as by a bag's loop.
 JUMP_NS = 1_000_000_000
+# Scans taken before anything else has its turn.
+AT_ONCE = 50
+# Seconds between two looks at what the publishers offer.
+LOOK_PERIOD = 0.5
 
 
 class ScanInput:
     """
     Scans of one scanner, checked and in order, handed to a callback.
 
-    The subscription is reliable.  When a publisher turns up that offers best effort only, which
-    a reliable subscription would never hear, it is replaced by a best-effort one.
+    Messages gather in the reader until `take` is called.  The subscription is reliable.  When a
+    publisher turns up that offers best effort only, which a reliable subscription would never
+    hear, it is replaced by a best-effort one.
 
     Parameters
     ----------
@@ -60,9 +67,10 @@ class ScanInput:
         self._awaits_jump = False
         self._newest = 0
         self._begin(log or ScanLog())
-        self._subscription = subscribe(
-            node, LaserScan, scanner.topic, self._take, LOSSLESS,
-            SubscriptionEventCallbacks(incompatible_qos=self._accept_best_effort))
+        self._group = Polled()
+        self._subscription = subscribe(node, LaserScan, scanner.topic, _taken, LOSSLESS,
+                                       callback_group=self._group, event_callbacks=UNEVENTFUL)
+        node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def counts(self) -> ScanCounts:
@@ -85,6 +93,18 @@ class ScanInput:
         """Hand on nothing more of the time before a jump that others have seen already."""
         self._awaits_jump = self._newest > 0
 
+    def wait(self, timeout: float) -> None:
+        """Wait until there is something to take, for some seconds at most."""
+        wait_for(self._node, self._subscription, timeout)
+
+    def take(self) -> bool:
+        """Hand on some of what has gathered; return whether there was anything."""
+        count = 0
+        for message, _ in islice(take_all(self._subscription), AT_ONCE):
+            self._take(message)
+            count += 1
+        return count > 0
+
     def _take(self, message: LaserScan) -> None:
         stamp = stamp_ns(message.header.stamp)
         if stamp < self._newest - JUMP_NS:
@@ -100,11 +120,19 @@ class ScanInput:
         if scan is not None:
             self._callback(scan)
 
-    def _accept_best_effort(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        if self._subscription.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT:
+    def _look(self) -> None:
+        """Accept best effort once a publisher offers no more."""
+        if (self._subscription.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+                or all(each.qos_profile.reliability is ReliabilityPolicy.RELIABLE for each
+                       in self._node.get_publishers_info_by_topic(self._subscription.topic))):
             return
         self._node.get_logger().info(
             f'{self._topic}: a publisher offers best effort only; some scans may get lost')
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._node.create_subscription(
-            LaserScan, self._topic, self._take, qos_profile_sensor_data)
+            LaserScan, self._topic, _taken, qos_profile_sensor_data, callback_group=self._group,
+            event_callbacks=UNEVENTFUL)
+
+
+def _taken(message: LaserScan) -> None:
+    """Do nothing: `ScanInput.take` has every message."""

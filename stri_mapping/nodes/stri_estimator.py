@@ -98,9 +98,10 @@ class StriEstimatorNode:
         self._distance, self._seconds_busy = 0.0, 0.0
         self._latencies: deque[float] = deque(maxlen=LATENCIES)
         self._advertise()
-        self._input = ScanInput(self.node, self._vehicle.horizontal, self._take,
-                                self._begin_anew, self.settings.scan_log(self._vehicle.horizontal))
-        self._resumed_at = len(self._input.stamps)      # scans that came before a crash
+        self.prompt = ScanInput(self.node, self._vehicle.horizontal, self._take, self._begin_anew,
+                                self.settings.scan_log(self._vehicle.horizontal))
+        self.inputs = (self.prompt,)
+        self._resumed_at = len(self.prompt.stamps)      # scans that came before a crash
 
     def _new_estimator(self) -> StriEstimator:
         scanner = self._vehicle.horizontal
@@ -133,7 +134,7 @@ class StriEstimatorNode:
         if self._before is None:
             return estimate
         if self._T_odom_start is None:
-            self._T_odom_start = self._before.pose_at(self._input.stamps[self._resumed_at])
+            self._T_odom_start = self._before.pose_at(self.prompt.stamps[self._resumed_at])
         return placed(estimate, self._T_odom_start)
 
     def _note_latency(self, scan: Scan) -> None:
@@ -183,7 +184,7 @@ class StriEstimatorNode:
         return self._results.report(self._state())
 
     def _state(self) -> Report:
-        counts, newest = self._input.counts, self._newest
+        counts, newest = self.prompt.counts, self._newest
         values = {'Scans': counts.read, 'Malformed scans': counts.malformed,
                   'Scans out of order': counts.backwards,
                   'Milliseconds per scan': f'{1e3 * self._seconds_busy / max(counts.read, 1):.2f}'}
@@ -212,7 +213,7 @@ class StriEstimatorNode:
         self._publish_final()
         self._results.write(self._save_image)
         self._results.close(self._facts)
-        self._input.close()
+        self.prompt.close()
 
     def _save_image(self) -> None:
         assert self._folder is not None
@@ -221,12 +222,12 @@ class StriEstimatorNode:
 
     def _facts(self) -> dict[str, Any]:
         assert self._writer is not None
-        scans = self._input.stamps
+        scans = self.prompt.stamps
         return {'scans': len(scans), **self._writer.facts(),
                 'ms_per_scan': round(1e3 * self._seconds_busy / max(len(scans), 1), 3),
                 'footprint_pull': self._estimator.footprint_pull,
                 'scanners': [scanner_facts(self._vehicle, self._vehicle.horizontal, scans,
-                                           self._input.counts)]}
+                                           self.prompt.counts)]}
 
 
 @cache

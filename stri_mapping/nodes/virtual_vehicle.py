@@ -15,7 +15,7 @@ import rclpy
 from rclpy.node import Node
 
 from stri_mapping.errors import UsageError
-from stri_mapping.nodes.conversions import truth_message
+from stri_mapping.nodes.conversions import truth_messages
 from stri_mapping.nodes.diagnostics import Diagnostics, OK, Report, WARN
 from stri_mapping.nodes.parameters import declare, setting
 from stri_mapping.nodes.process import (
@@ -156,9 +156,9 @@ class VirtualVehicle:
         first = self._told or last
         self._told = last + 1
         times = np.asarray(TRUTH_STEP * np.arange(first, last + 1))
-        for t, pose, twist in zip(times.tolist(), *live.poses(times)):
-            stamp = self.pilot.epoch_ns + round(1e9 * t)
-            self._truth.publish(truth_message(stamp, pose, twist))
+        stamps = [self.pilot.epoch_ns + round(1e9 * t) for t in times.tolist()]
+        for message in truth_messages(stamps, *live.poses(times)):
+            self._truth.publish(message)
 
     def _report(self) -> Report:
         pilot = self.pilot

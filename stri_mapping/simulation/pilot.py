@@ -16,7 +16,7 @@ from stri_mapping.errors import StriMappingError, UsageError
 from stri_mapping.lms_emulator.faults import Fault
 from stri_mapping.lms_emulator.line import Adapter
 from stri_mapping.lms_emulator.model import make_memory, Memory
-from stri_mapping.lms_emulator.priority import before_others, CASTING
+from stri_mapping.lms_emulator.priority import behind_the_eager
 from stri_mapping.lms_emulator.process import EmulatorProcess, Setup, State
 from stri_mapping.lms_emulator.turns import Mirror, Variant
 from stri_mapping.simulation.drive import make_drive
@@ -168,7 +168,7 @@ class Pilot:
     def _drive(self, live: LiveDrive, emulator: EmulatorProcess, stopped: Callable[[], bool],
                ready: Callable[[], bool]) -> None:
         trip, began = self.trip, self.now
-        before_others(CASTING)          # a vehicle does not wait for the software it carries
+        behind_the_eager()
         self.phase = 'standing still until all scanners stream'
         while trip.wait and not stopped() and (self.missing or not self.state.wants):
             self._step(live, emulator)
