@@ -27,8 +27,8 @@ from stri_mapping.metrics import path_metrics, speed_metrics
 from stri_mapping.scan import Scan
 from stri_mapping.simulation.drive import Drive, make_drive, START_NS
 from stri_mapping.simulation.scenes import Options
-from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
-from stri_mapping.stri.joint import JointConfig
+from stri_mapping.stri.config import EstimatorConfig, JointConfig
+from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.trajectory import Trajectory
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Vehicle
 

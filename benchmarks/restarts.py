@@ -1,13 +1,14 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a drive lacks when each node of the live graph is killed in turn by kill -9.
+When a node of the live graph killed by kill -9 is back, and what the drive lacks after it.
 
     python benchmarks/restarts.py [--scene street] [--rounds 1]
 
 It runs `stri-mapping run --simulate` with a recorder, kills the nodes one after the other, and
-looks for the hole that each death has left: a driver's and the virtual vehicle's in the recorded
-scans, the estimator's in the path, the aligner's in the cloud, the recorder's in its own bag.
+tells how long after the kill of a driver, the estimator or the aligner its next message left.
+Then it looks for the hole that each death has left: a driver's and the virtual vehicle's in the
+recorded scans, the estimator's in the path, the aligner's in the cloud, the recorder's in its bag.
 """
 
 from __future__ import annotations
@@ -54,9 +55,42 @@ def processes(supervisor: int) -> dict[str, int]:
     return found
 
 
+class Witness:
+    """Hears what the nodes give that killed ones gave."""
+
+    def __init__(self) -> None:
+        """Subscribe."""
+        from nav_msgs.msg import Odometry
+        import rclpy
+        from sensor_msgs.msg import LaserScan, PointCloud2
+
+        from stri_mapping.nodes.polling import Polled
+        rclpy.init()
+        self.node = rclpy.create_node('benchmark')
+        topics = {'sick_lms_driver': (LaserScan, SCANS), 'stri_estimator': (Odometry, 'odom'),
+                  'facade_aligner': (PointCloud2, 'facade/points')}
+        self._subscriptions = {name: self.node.create_subscription(
+            kind, topic, lambda _: None, 1000, raw=True, callback_group=Polled())
+            for name, (kind, topic) in topics.items()}
+
+    def back_after(self, name: str, kill: float) -> float | None:
+        """Return how many seconds after its kill a node gave something; None if not heard."""
+        from stri_mapping.nodes.polling import take_all
+        sent: list[float] = []
+        if name not in self._subscriptions:
+            return None
+
+        def heard() -> bool:
+            sent.extend(1e-9 * info['source_timestamp']
+                        for _, info in take_all(self._subscriptions[name]))
+            return any(time > kill for time in sent)
+        live.wait_until(heard, f'something from {name}')
+        return min(time for time in sent if time > kill) - kill
+
+
 def kill_all(supervisor: int, rounds: int) -> list[tuple[str, float]]:
     """Kill each node; return names and host times."""
-    kills = []
+    kills, witness = [], Witness()
     for name in rounds * NODES:
         time.sleep(REST)
         before = processes(supervisor)
@@ -66,7 +100,9 @@ def kill_all(supervisor: int, rounds: int) -> list[tuple[str, float]]:
                         f'{name} again')
         after = processes(supervisor)
         affected = [other for other in NODES if other != name and after[other] != before[other]]
-        print(f'{name} killed' + (f'; {affected} affected' if affected else ''), flush=True)
+        back = witness.back_after(name, kills[-1][1])
+        print(f'{name} killed' + ('' if back is None else f', back after {back:.2f} s')
+              + (f'; {affected} affected' if affected else ''), flush=True)
     time.sleep(REST)
     return kills
 

@@ -17,7 +17,8 @@ from stri_mapping.facade.writer import facade_facts, FacadeWriter
 from stri_mapping.motion_file import MotionWriter
 from stri_mapping.results import RANGE_IMAGE_NAME
 from stri_mapping.scan import Scan, ScanCounts
-from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
+from stri_mapping.stri.config import EstimatorConfig
+from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.summary import scanner_facts
 from stri_mapping.vehicle import Scanner, Vehicle
 

@@ -18,8 +18,8 @@ os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 from stri_mapping import geometry
 from stri_mapping.facade.points import FacadePoints
 from stri_mapping.nodes import conversions, parameters, raw_output
+from stri_mapping.stri.config import EstimatorConfig
 from stri_mapping.stri.estimate import Estimate
-from stri_mapping.stri.estimator import EstimatorConfig
 
 T0 = 1_767_225_600_123_456_789
 finite = st.floats(-1e4, 1e4)

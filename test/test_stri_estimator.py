@@ -12,10 +12,12 @@ from stri_mapping import geometry
 from stri_mapping.bag_io import Bag, select_scanners
 from stri_mapping.scan import Scan
 from stri_mapping.stri.estimator import StriEstimator
+from stri_mapping.stri.recovery import ACCELERATIONS
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 
 CAMPUS = Path(__file__).parents[1] / 'bags' / 'campus'
 SCANS = 525     # seven seconds, of which the start takes 0.7
+STEP = np.diff(np.sort(ACCELERATIONS)).max()    # between accelerations that are tried
 
 
 @pytest.fixture(scope='module')
@@ -131,6 +133,32 @@ def test_scans_without_any_return_coast_and_say_so(drive):
     assert np.all(np.diff(sigma[::10]) > 0.0)
     # it goes on as it went
     assert final[-1].twist[0] == pytest.approx(final[370].twist[0], abs=1.5)
+
+
+@pytest.mark.parametrize('lost_knots', [5, 9])
+@pytest.mark.parametrize('acceleration', [0.0, 0.5 * STEP, -0.5 * STEP])
+def test_a_motion_taken_up_again_joins_the_path_without_a_step(drive, lost_knots, acceleration):
+    mount, scans, _ = drive
+    estimator = StriEstimator(mount)
+    for scan in scans[:450]:
+        estimator.add(scan)
+    path = estimator._path
+    times = np.arange(path.final_until - 0.5, path.step * path.h, 0.01)
+    velocities = np.array([path.velocity(t) for t in times])
+    end = path.pose(path.step * path.h)
+    own = geometry.compose([0.0, 0.0, -end[2]], path.velocity(path.step * path.h))[:2]
+    # lost: the path runs away from the motion by 1 m/s
+    last = path.step + 4
+    path.knots[last - lost_knots:last, :2] += np.outer(
+        path.h * np.arange(1, lost_knots + 1), np.hypot(*own) ** -1.0 * velocities[-1, :2])
+    away = np.array([path.velocity(t) for t in times]) - velocities
+    assert np.hypot(*away[:, :2].T).max() > 0.9
+    unit = own / np.hypot(*own)
+    path.restart(np.array([*own, 0.0]), np.array([*(acceleration * unit), 0.0]))
+    again = np.array([path.velocity(t) for t in times]) - velocities
+    # within what 0.2 s between keyframes tell of a speed, each placed to 5 mm
+    assert np.hypot(*again[:, :2].T).max() < 0.05
+    assert np.abs(again[:, 2]).max() < np.deg2rad(2.0)
 
 
 def test_too_few_scans_give_nothing(drive):

@@ -33,8 +33,9 @@ from stri_mapping.nodes.transforms import mounts_from_tf, TransformOutput
 from stri_mapping.results import RANGE_IMAGE_NAME
 from stri_mapping.resume import interruption, placed
 from stri_mapping.scan import Scan
+from stri_mapping.stri.config import EstimatorConfig
 from stri_mapping.stri.estimate import Estimate
-from stri_mapping.stri.estimator import EstimatorConfig, StriEstimator
+from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.summary import scanner_facts
 
 # Latched and deep: an aligner that starts or connects late still gets every pose.

@@ -10,7 +10,6 @@ poses again when they are final, at most two seconds later.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,9 @@ from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe
 from stri_mapping.stri.beat import Beat
+from stri_mapping.stri.config import EstimatorConfig
 from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
-from stri_mapping.stri.joint import JointConfig, JointPath
+from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.recovery import another_motion, changed_twist
@@ -32,41 +32,7 @@ Mask = NDArray[np.bool_]
 
 RECENT = 0.64               # seconds of scans kept for proposing a motion
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
-KNOWN_PULL_SIGMA = 0.5e-5   # 1/m, of a pull that an earlier drive has told
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
-
-
-@dataclass(frozen=True)
-class EstimatorConfig:
-    """
-    Settings of the estimator; every default is usable.
-
-    Attributes
-    ----------
-    knot_spacing
-        Seconds between knots of the path; slow scanners get one scan period.
-    degenerate_sigma
-        Standard deviation of the forward speed in m/s above which it counts as not observable.
-    lost_sigma
-        Standard deviation of the speed in m/s above which another motion is looked for.
-    image_window
-        Seconds of the range image kept for pictures.
-    joint
-        Settings of the joint fit.
-
-    """
-
-    knot_spacing: float = 0.1
-    degenerate_sigma: float = 0.2
-    lost_sigma: float = 0.4
-    image_window: float = 8.0
-    joint: JointConfig = field(default_factory=JointConfig)
-
-    def knowing(self, pull: float | None) -> EstimatorConfig:
-        """Return the same settings for a scanner whose footprint pull is known, 1/m or None."""
-        if pull is None:
-            return self
-        return replace(self, joint=replace(self.joint, pull=pull, pull_sigma=KNOWN_PULL_SIGMA))
 
 
 class StriEstimator:

@@ -10,12 +10,11 @@ scans are merged to keyframes (`keyframe`), keyframes are paired over time and d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping import geometry
+from stri_mapping.stri.config import JointConfig
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.range_error import RangeError
@@ -28,65 +27,6 @@ from stri_mapping.stri.window import Window
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class JointConfig:
-    """
-    Settings of the joint fit.
-
-    Attributes
-    ----------
-    active
-        Knots that are still fitted.
-    kept
-        Knots that are not final yet, but laid anew where a lost motion is taken up; as many as
-        `active` where scans are rare.
-    lags
-        Keyframes back that a new one is paired with.
-    distances
-        Metres back along the path that a new one is paired with.
-    span
-        Seconds of scans merged in a keyframe besides those of its own knot interval.
-    jerk, angular_jerk, acceleration, angular_acceleration
-        Standard deviations of the motion's third and second derivatives, SI units; that of the
-        angular acceleration is 2 rad/s^2 where scans are rare.
-    turn
-        Standard deviation of the turn rate, rad/s: where nothing tells it, the way is straight.
-    far
-        Metres beyond which returns are not used.
-    start_steps
-        Knot intervals collected before the first fit.
-    iterations
-        Of Gauss-Newton, at most, for each new knot.
-    pull, pull_sigma
-        Of slanted footprints, 1/m, before anything is learnt of it, and how sure that is (see
-        `range_error`): 4e-5 for a beam of 11.9 mrad on a real street, less for a narrow one.
-    learn_error
-        Whether the pull is learnt and corrected.
-    judge_surfaces
-        Whether moving objects are told and left out as wholes; where scans are too rare to
-        follow surfaces it is not done in any case.
-
-    """
-
-    active: int = 12
-    kept: int = 17
-    lags: tuple[int, ...] = (1, 2, 4, 7)
-    distances: tuple[float, ...] = (3.0, 6.0, 10.0)
-    span: float = 0.1
-    jerk: float = 6.0
-    angular_jerk: float = 3.0
-    acceleration: float = 4.0
-    angular_acceleration: float = 0.5
-    turn: float = 0.4
-    far: float = 80.0
-    start_steps: int = 8
-    iterations: int = 7
-    pull: float = 2e-5
-    pull_sigma: float = 2e-5
-    learn_error: bool = True
-    judge_surfaces: bool = True
-
-
 # Geman-McClure scales in metres, of a fit's iterations and of the first fit's.
 SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
@@ -96,6 +36,8 @@ CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
 SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
+# m/s, m/s and rad/s between two motions that are not the same.
+PARTED = np.array([0.3, 0.3, 0.04])
 FADING = 0.7          # of acceleration from knot to knot where the path is extrapolated
 
 
@@ -195,26 +137,41 @@ class JointPath:
         """
         Take up the motion again after losing it.
 
+        The path is laid anew from where it had that motion; if it had it at no time that is not
+        final, from there, with no tie to the motion before.  Then all that is not final is
+        fitted to its scans, and to those just before.
+
         Parameters
         ----------
         twist, acceleration
-            (3,) of the scanner in its own frame at the newest knot, and its change in a second:
-            all that is not final is laid anew along it, from where the path was, and fitted to
-            its own scans alone.
+            (3,) of the scanner in its own frame at the newest knot, and its change in a second.
 
         """
         begin = self.settled - 1
-        span = self.step - begin
-        before = self.h * np.arange(-span, 3)[:, None]
+        parting = self._parting(twist, acceleration)
+        if parting is None:
+            self._start = begin + 2
+        origin = begin if parting is None else parting
+        before = self.h * np.arange(origin - self.step, 3)[:, None]
         twists = twist + before * acceleration
         twists[twists[:, :2] @ twist[:2] < 0.0] = 0.0   # it stood, rather than went the other way
         way = self.h * (np.cumsum(twists, axis=0) - 0.5 * (twists[0] + twists))
-        self.knots[begin + 1:self.step + 4] = geometry.compose(
-            self.pose(begin * self.h), geometry.exp(way))
-        self._start = begin + 2
+        self.knots[origin + 1:self.step + 4] = geometry.compose(
+            self.pose(origin * self.h), geometry.exp(way))
         self.trust.pardon()
         newest = self.window.rebuild(begin * self.h, self.knots)
-        self._fit(self._start, self.step + 3, newest, START_SCALES, START_ITERATIONS)
+        self._fit(begin + 2, self.step + 3, newest, START_SCALES, START_ITERATIONS)
+
+    def _parting(self, twist: Array, acceleration: Array) -> int | None:
+        """Return the newest step, not final, at which the path had the motion to be taken up."""
+        for step in range(self.step - 3, self.settled - 1, -1):
+            heading = self.pose(step * self.h)[2]
+            own = geometry.compose([0.0, 0.0, -heading], self.velocity(step * self.h))
+            own[2] += heading
+            line = twist + (step - self.step) * self.h * acceleration
+            if np.all(np.abs(own - line) < PARTED):
+                return step
+        return None
 
     @property
     def final_until(self) -> float:

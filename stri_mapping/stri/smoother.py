@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 RESIDUALS = 100   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
 STOP = 2e-4                       # metres or radians: the fit has converged
-ANCHOR = 1e8
+ANCHOR, LOOSE = 1e8, 1e2      # information, 1/m^2 or 1/rad^2, on a fixed place and on a rough one
 TAIL = 2.0                # standard deviations beyond which a jerk is taken as it comes
 VOTES = 1.2        # seconds between keyframes whose comparison tells what moves
 THIRD, SECOND = np.array([-1.0, 3.0, -3.0, 1.0]), np.array([1.0, -2.0, 1.0])
@@ -47,8 +47,8 @@ def solve(
     knots, h
         (k, 3) spline coefficients, changed in place, and knot spacing in seconds.
     start
-        Knot at which the motion was taken up: it is held in its place where it is active, and no
-        prior ties it to the motion before.
+        Knot at which the motion was taken up: no prior ties it to the motion before.  While it is
+        active, it is held in its place: knot 0 firmly, any other only where no pair tells it.
     ends .. passes
         The pairs in use, see `window.Pairs`.
     time .. bins
@@ -82,7 +82,7 @@ def solve(
         if start >= first:
             for d in range(9):
                 row = 3 * (start - first) + d
-                information[row, row] += ANCHOR if d < 3 else 1e2
+                information[row, row] += ANCHOR if d < 3 and start == 0 else LOOSE
         step = np.linalg.solve(information, -slope)
         for k in range(n):
             for d in range(3):

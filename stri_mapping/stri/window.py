@@ -24,6 +24,7 @@ SEEN_THROUGH = (2, 4, 7)                # keyframes back
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
 KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
 KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
+OVERLAP = 0.75                # seconds of keyframes kept before those that are built again
 STALE_SHIFT, STALE_TURN = 0.003, 0.0008     # m, rad by which rays of a keyframe are misplaced
 
 
@@ -214,12 +215,20 @@ class Window:
         self.order = kept
 
     def rebuild(self, begin: float, knots: Array) -> float:
-        """Keep only the keyframes since a time, built and paired anew; return the first's time."""
-        kept = [s for s in self.order if s in self._rays and self.frames.time[s] >= begin]
-        self._free += [s for s in self.order if s not in kept]
-        self._rays = {s: self._rays[s] for s in kept}
+        """
+        Build and pair anew the keyframes since a time; return the first's time.
+
+        Of those before it only the last stay, to be paired with.
+        """
+        f = self.frames.time
+        before = [s for s in self.order if begin - OVERLAP <= f[s] < begin]
+        again = [s for s in self.order if s in self._rays and f[s] >= begin]
+        self._free += [s for s in self.order if s not in before and s not in again]
+        self._rays = {s: self._rays[s] for s in again}
         self.pairs.count = 0
-        self.order = []
-        for slot in kept:
+        self.order = before
+        if before:
+            self.travelled = float(self._odometer[before[-1]])
+        for slot in again:
             self._admit(slot, knots)
-        return float(self.frames.time[kept[0]]) if kept else np.inf
+        return float(f[again[0]]) if again else np.inf
