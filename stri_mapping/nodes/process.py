@@ -29,7 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from stri_mapping.errors import EXIT_CRASH, EXIT_DATA, EXIT_USAGE, StriMappingError, UsageError
 from stri_mapping.node_process import SUPERVISOR_VARIABLE
-from stri_mapping.nodes.scan_input import ScanInput
+from stri_mapping.nodes.scan_input import AT_ONCE, ScanInput
 
 PR_SET_PDEATHSIG = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -136,16 +136,16 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(processing.node)
     try:
-        turn = 0.0
+        due, taken = 0.0, 0
         while not stop.requested:
             if processing.prompt is None:
-                executor.spin_once(timeout_sec=TURN)
+                executor.spin_once(timeout_sec=TURN if taken < AT_ONCE else 0.0)
             else:
                 processing.prompt.wait(TURN)
-                if time.monotonic() > turn:
-                    turn = time.monotonic() + TURN
+                if time.monotonic() > due:
+                    due = time.monotonic() + TURN
                     _run_ready(executor, 0.0)
-            _take(processing)
+            taken = _take(processing)
         _take_rest(processing, executor)
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end and any(
@@ -159,9 +159,9 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
         processing.node.destroy_node()
 
 
-def _take(processing: ProcessingNode) -> bool:
-    """Take scans that have gathered; return whether there were any."""
-    return sum(each.take() for each in processing.inputs) > 0
+def _take(processing: ProcessingNode) -> int:
+    """Take scans that have gathered; return the most that one scanner had."""
+    return max([each.take() for each in processing.inputs], default=0)
 
 
 def _run_ready(executor: SingleThreadedExecutor, quiet: float) -> bool:
@@ -179,7 +179,7 @@ def _run_ready(executor: SingleThreadedExecutor, quiet: float) -> bool:
 
 def _take_rest(processing: ProcessingNode, executor: SingleThreadedExecutor) -> None:
     """Run callbacks and take scans until nothing has come for a moment."""
-    while _run_ready(executor, QUIET) | _take(processing):
+    while _run_ready(executor, QUIET) + _take(processing):
         pass
 
 

@@ -97,13 +97,13 @@ class ScanInput:
         """Wait until there is something to take, for some seconds at most."""
         wait_for(self._node, self._subscription, timeout)
 
-    def take(self) -> bool:
-        """Hand on some of what has gathered; return whether there was anything."""
+    def take(self) -> int:
+        """Hand on what has gathered, up to `AT_ONCE` scans; return how many."""
         count = 0
         for message, _ in islice(take_all(self._subscription), AT_ONCE):
             self._take(message)
             count += 1
-        return count > 0
+        return count
 
     def _take(self, message: LaserScan) -> None:
         stamp = stamp_ns(message.header.stamp)
