@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from importlib import import_module
+import math
 import struct
 import time
 from typing import Any
@@ -28,6 +29,9 @@ LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # Seconds that a subscriber may block before it is taken for dead.
 BLOCKED = 60.0
+# Seconds by which a subscriber may learn of a publisher later than that of it: DDS has no
+# handshake for it, and what is sent in between is lost on readers of other makes.
+SETTLED = 0.5
 # Between two looks at whether the process is to stop.
 MOMENT = Duration(seconds=0.5)
 
@@ -76,17 +80,26 @@ class RawOutput:
 
     def await_subscribers(self, wanted: Mapping[str, int], patience: float,
                           meanwhile: Callable[[], None]) -> None:
-        """Wait until each topic has so many matched subscribers, or raise StriMappingError."""
+        """
+        Wait until each topic has so many matched subscribers, and for `SETTLED` seconds more.
+
+        Raises
+        ------
+        StriMappingError
+            If they do not come.
+
+        """
         for topic in wanted:
             if topic not in self._publishers:
                 raise UsageError(f'parameter subscribers: {topic} is not played')
-        end = time.monotonic() + patience
-        while not self._stop.requested:
+        end, since = time.monotonic() + patience, math.inf
+        while wanted and not self._stop.requested:
             missing = [topic for topic, count in wanted.items()
                        if self._publishers[topic].get_subscription_count() < count]
-            if not missing:
+            since = math.inf if missing else min(since, time.monotonic())
+            if time.monotonic() > since + SETTLED:
                 return
-            if time.monotonic() > end:
+            if missing and time.monotonic() > end:
                 raise StriMappingError(f'{missing[0]}: nobody subscribed within {patience:.0f} s')
             meanwhile()
             time.sleep(0.02)
