@@ -14,21 +14,16 @@ from collections.abc import Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-# Of a polled subscription.
-UNEVENTFUL = SubscriptionEventCallbacks(use_default_callbacks=False)
-
 
 class Polled(CallbackGroup):
     """
-    Keeps the executor's hands off the subscriptions in it.
+    Keeps the executor's hands off the subscriptions in it, and off their events.
 
-    They go with `UNEVENTFUL`: an executor that waits for a subscription's events wakes up at
-    its messages too.
+    An executor that waits for a subscription's events wakes up at its messages too.
     """
 
     def can_execute(self, entity: Any) -> bool:

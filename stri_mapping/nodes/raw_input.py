@@ -15,7 +15,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 import yaml
 
-from stri_mapping.nodes.polling import Polled, take_all, UNEVENTFUL
+from stri_mapping.nodes.polling import Polled, take_all
 from stri_mapping.nodes.raw_output import message_class
 from stri_mapping.recording.definitions import Definitions
 from stri_mapping.recording.mcap_file import Topic
@@ -110,8 +110,7 @@ class RawInput:
         if name in self._inputs:
             self._node.destroy_subscription(self._inputs[name][0])
         self._inputs[name] = self._node.create_subscription(
-            message, name, lambda _: None, qos, raw=True, callback_group=self._group,
-            event_callbacks=UNEVENTFUL), topic
+            message, name, lambda _: None, qos, raw=True, callback_group=self._group), topic
 
 
 def reader_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
-from stri_mapping.nodes.polling import Polled, take_all, UNEVENTFUL, wait_for
+from stri_mapping.nodes.polling import Polled, take_all, wait_for
 from stri_mapping.nodes.qos import subscribe
 from stri_mapping.scan import Scan, ScanCounts, ScanIntake, stamp_ns
 from stri_mapping.scan_log import ScanLog
@@ -69,7 +69,7 @@ class ScanInput:
         self._begin(log or ScanLog())
         self._group = Polled()
         self._subscription = subscribe(node, LaserScan, scanner.topic, _taken, LOSSLESS,
-                                       callback_group=self._group, event_callbacks=UNEVENTFUL)
+                                       callback_group=self._group)
         node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
@@ -130,8 +130,7 @@ class ScanInput:
             f'{self._topic}: a publisher offers best effort only; some scans may get lost')
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._node.create_subscription(
-            LaserScan, self._topic, _taken, qos_profile_sensor_data, callback_group=self._group,
-            event_callbacks=UNEVENTFUL)
+            LaserScan, self._topic, _taken, qos_profile_sensor_data, callback_group=self._group)
 
 
 def _taken(message: LaserScan) -> None:
