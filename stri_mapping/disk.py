@@ -15,6 +15,8 @@ from stri_mapping.errors import ResultsError
 
 # Bytes that growing results leave free: summary and report, which say what is missing, follow.
 ROOM = 4_000_000
+# Bytes of two lines of any text file here, and more.
+LONGEST_LINE = 4096
 
 
 @contextmanager
@@ -45,6 +47,17 @@ def cut_to_lines(path: Path, lines: int) -> None:
         for _ in range(lines):
             file.readline()
         file.truncate(file.tell())
+
+
+def last_line(path: Path) -> str:
+    """Cut off the end of a text file that is no whole line; return the last line, or nothing."""
+    with path.open('r+b') as file:
+        begin = max(file.seek(0, os.SEEK_END) - LONGEST_LINE, 0)
+        file.seek(begin)
+        end = file.read()
+        whole = end[:end.rfind(b'\n') + 1]
+        file.truncate(begin + len(whole))
+    return ''.join(whole.decode().splitlines()[-1:])
 
 
 def whole_lines(path: Path) -> int:

@@ -115,7 +115,9 @@ class Child:
         module = self.spec.module
         arguments = self.spec.arguments(self._file, resume=bool(self.restarts))
         self.process = self._spares.take(module, arguments) or spawn(module, arguments)
-        set_niceness(self.process.pid, self.spec.nice)
+        # one that comes back has to catch up: it does not stand behind others until it has a spare
+        self._catches_up = bool(self.restarts) and self.spec.nice > 0
+        set_niceness(self.process.pid, 0 if self._catches_up else self.spec.nice)
         self.started_at, self.died_at, self._asked = time.monotonic(), 0.0, False
         self._pump = threading.Thread(target=self._pass_on, daemon=True)
         self._pump.start()
@@ -125,6 +127,9 @@ class Child:
         if (self.spec.restarts and not self.died_at
                 and time.monotonic() - self.started_at > SPARE_AFTER):
             self._spares.keep(self.spec.module)
+            if self._catches_up:
+                self._catches_up = False
+                set_niceness(self.process.pid, self.spec.nice)
 
     @property
     def started(self) -> bool:

@@ -14,8 +14,9 @@ from pathlib import Path
 
 from stri_mapping.errors import UsageError
 from stri_mapping.facade.cloud_files import PLY_NAME
+from stri_mapping.facade.journal import JOURNAL_NAMES
 from stri_mapping.facade.las_file import LAZ_NAME
-from stri_mapping.facade.writer import COUNTS_NAME, STABILISED_NAME
+from stri_mapping.facade.writer import STABILISED_NAME
 from stri_mapping.scan_log import NAME as SCAN_LOG_NAME
 
 TRAJECTORY_NAME, VELOCITY_NAME = 'trajectory.tum', 'velocity.csv'
@@ -25,7 +26,7 @@ EVALUATION_NAME, REPORT_NAME = 'evaluation.json', 'report.html'
 RESULT_NAMES = (TRAJECTORY_NAME, STABILISED_NAME, VELOCITY_NAME, PLY_NAME, LAZ_NAME,
                 SUMMARY_NAME, RANGE_IMAGE_NAME, EVALUATION_NAME, REPORT_NAME,
                 'facade_[0-9]*.ply', 'facade_[0-9]*.laz', 'facade*.pcd', 'facade*.e57',
-                'facade_elevation_*.png', 'facade_elevation_*.pgw', COUNTS_NAME,
+                'facade_elevation_*.png', 'facade_elevation_*.pgw', *JOURNAL_NAMES,
                 SCAN_LOG_NAME.format('*'))
 
 

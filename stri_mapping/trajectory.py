@@ -125,6 +125,12 @@ def stamp_text(stamp_ns: int) -> str:
     return f'{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}'
 
 
+def stamp_of(text: str) -> int:
+    """Return nanoseconds from seconds with up to 9 decimals, exact; raises ValueError."""
+    seconds, _, decimals = text.partition('.')
+    return int(seconds) * 10**9 + int(f'{decimals:0<9}'[:9])
+
+
 def tum_line(stamp_ns: int, pose: ArrayLike) -> str:
     """Return one TUM line, ``stamp x y z qx qy qz qw``, all with 9 decimals, stamp exact."""
     x, y, yaw = np.asarray(pose, dtype=float)
@@ -189,8 +195,7 @@ def _read_lines(path: Path) -> tuple[Stamps, Array]:
         if not fields or fields[0].startswith('#'):
             continue
         try:
-            seconds, _, decimals = fields[0].partition('.')
-            stamps.append(int(seconds) * 10**9 + int(f'{decimals:0<9}'[:9]))
+            stamps.append(stamp_of(fields[0]))
             rows.append([float(v) for v in fields[1:]])
             if len(rows[-1]) != 7 or not np.all(np.isfinite(rows[-1])):
                 raise ValueError

@@ -6,12 +6,16 @@ from __future__ import annotations
 
 from array import array
 import gc
+import os
+from pathlib import Path as FilePath
 import signal
+from typing import Any
 
 import live
 import numpy as np
 
-from stri_mapping.facade.cloud_files import count_points
+from stri_mapping.facade.cloud_files import count_points, read_ply
+from stri_mapping.facade.journal import JOURNAL_NAMES, SCAN, whole_records
 from stri_mapping.facade.push_broom import FacadeAligner
 from stri_mapping.scan import Scan, scan_from_message, stamp_ns
 from stri_mapping.stri.estimate import Estimate
@@ -114,6 +118,135 @@ def test_without_a_path_it_ends_cleanly_without_points(tmp_path):
     assert not (tmp_path / 'facade.ply').exists()
 
 
+class Feeder:
+    """Publishes scans and the path, and hears the points, while aligners come and go."""
+
+    def __init__(self, own: Any) -> None:
+        from nav_msgs.msg import Path
+        from rclpy.event_handler import PublisherEventCallbacks
+        from sensor_msgs.msg import LaserScan, PointCloud2
+        self.readers = 0                        # aligners that have ever read scans
+        self.clouds: list[PointCloud2] = []
+        self._path = own.create_publisher(Path, 'trajectory', live.latched())
+        self._scans = own.create_publisher(
+            LaserScan, 'vertical_side/scan', live.lossless(),
+            event_callbacks=PublisherEventCallbacks(matched=self._count))
+        own.create_subscription(PointCloud2, 'facade/points', self.clouds.append, live.lossless())
+
+    def _count(self, status: Any) -> None:
+        self.readers = status.total_count
+
+    def scans(self, begin: int, end: int) -> None:
+        for message in messages()[begin:end]:
+            self._scans.publish(message)
+
+    def path(self, begin: int, end: int) -> None:
+        from stri_mapping.nodes.conversions import path_message
+        for first in range(begin, end, 10):
+            self._path.publish(path_message(estimates()[first:min(first + 10, end)], 'odom'))
+
+    def rays(self) -> np.ndarray:
+        """Return the number of each ray of the drive that was heard."""
+        from stri_mapping.nodes.conversions import POINT
+        return np.concatenate([np.empty(0, int), *(numbered(
+            stamp_ns(m.header.stamp) - T0 + 1e9 * np.frombuffer(m.data, POINT)['time'].astype(
+                float)) for m in self.clouds)])
+
+
+def numbered(since_ns: np.ndarray) -> np.ndarray:
+    """Return the numbers of rays, 360 of them a turn, from their times."""
+    return np.rint(since_ns * 360 / PERIOD).astype(int)
+
+
+def in_cloud(folder: FilePath) -> np.ndarray:
+    if not (folder / 'facade.ply').is_file():
+        return np.empty(0, int)
+    return np.concatenate([np.empty(0, int), *(numbered(1e9 * (rows['time'] - 1e-9 * T0))
+                                               for rows in read_ply(folder / 'facade.ply'))])
+
+
+def rays_of(*scans: int) -> np.ndarray:
+    """Return the numbers of the rays of some scans that hit the wall."""
+    hit = np.flatnonzero(np.arange(181) % 10)
+    return (360 * np.array(scans)[:, None] + hit).ravel()
+
+
+def journalled(folder: FilePath) -> int:
+    """Return how many scans are kept for the next aligner."""
+    return sum(r.kind == SCAN for name in JOURNAL_NAMES if (folder / name).is_file()
+               for r in whole_records((folder / name).read_bytes())[0])
+
+
+def test_kill_9_costs_no_scan_that_has_come_and_doubles_no_point(tmp_path):
+    with live.listener() as (own, executor, env):
+        feeder = Feeder(own)
+        with live.node('facade_aligner', {'output': tmp_path}, env) as process:
+            live.spin_until(executor, lambda: feeder.readers == 1, 'the aligner')
+            feeder.scans(0, 200)
+            feeder.path(0, 150)
+            live.spin_until(executor, lambda: journalled(tmp_path) == 200 and feeder.clouds,
+                            'points of the first scans, and the others in the journal')
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+        before = in_cloud(tmp_path)
+        assert 0 < len(before) < len(rays_of(*range(150)))
+        feeder.scans(200, 220)                  # nobody reads them
+        feeder.path(150, 250)
+        with live.node('facade_aligner', {'output': tmp_path, 'resume': True}, env) as process:
+            live.spin_until(executor, lambda: feeder.readers == 2, 'the next aligner')
+            feeder.scans(220, SCANS)
+            feeder.path(250, SCANS + 2)
+            live.spin_until(executor, lambda: len(in_cloud(tmp_path)) > len(before), 'more points')
+            process.send_signal(signal.SIGTERM)
+            live.spin_until(executor, lambda: process.poll() is not None, 'the end')
+            for _ in range(10):
+                executor.spin_once(timeout_sec=0.05)
+            output, _ = process.communicate()
+    assert process.returncode == 0, output
+    expected = rays_of(*range(200), *range(220, SCANS))
+    np.testing.assert_array_equal(in_cloud(tmp_path), expected)
+    heard = feeder.rays()
+    assert len(np.unique(heard)) == len(heard)
+    assert np.isin(heard, expected).all()
+    assert np.isin(np.setdiff1d(expected, before), heard).all()
+    summary = read_summary(tmp_path)
+    assert summary['points'] == len(expected)
+    assert summary['rays_without_return'] == 19 * (SCANS - 20)
+    assert summary['rays_without_pose'] == 0
+    side, = (s for s in summary['scanners'] if s['name'] == 'vertical_side')
+    assert (side['scans'], side['lost_scans']) == (SCANS - 20, 20)
+    assert not any((tmp_path / name).exists() for name in JOURNAL_NAMES)
+
+
+def test_what_waited_when_it_was_killed_stays_in_its_own_drive_when_time_is_set_back(tmp_path):
+    with live.listener() as (own, executor, env):
+        feeder = Feeder(own)
+        with live.node('facade_aligner', {'output': tmp_path}, env) as process:
+            live.spin_until(executor, lambda: feeder.readers == 1, 'the aligner')
+            feeder.scans(0, SCANS)
+            feeder.path(0, 250)
+            log = tmp_path / 'scans_vertical_side.log'      # 32 bytes, and 8 for each scan
+            live.spin_until(executor, lambda: log.stat().st_size == 32 + 8 * SCANS
+                            and feeder.clouds, 'points of the first scans, and all scans noted')
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+        feeder.path(250, SCANS + 2)
+        feeder.path(0, 10)                      # the bag has begun again
+        with live.node('facade_aligner', {'output': tmp_path, 'resume': True}, env) as process:
+            live.spin_until(executor, lambda: feeder.readers == 2, 'the next aligner')
+            live.spin_until(executor, lambda: read_summary(tmp_path), 'the end of the first drive')
+            first = len(feeder.rays())
+            feeder.scans(0, SCANS)
+            feeder.path(10, SCANS + 2)
+            live.spin_until(executor, lambda: len(feeder.rays()) > first + 1000,
+                            'points of the second drive')
+            process.send_signal(signal.SIGTERM)
+            live.spin_until(executor, lambda: process.poll() is not None, 'the end')
+            output, _ = process.communicate()
+    assert process.returncode == 0, output
+    np.testing.assert_array_equal(in_cloud(tmp_path), rays_of(*range(SCANS)))
+
+
 def scans_alive() -> int:
     """Return how many scans this process holds, whoever holds them."""
     gc.collect()
@@ -122,6 +255,7 @@ def scans_alive() -> int:
 
 def test_scans_that_waited_for_a_new_path_are_placed_once_and_forgotten():
     import rclpy
+    from rclpy.serialization import serialize_message
 
     from stri_mapping.nodes.conversions import path_message
     from stri_mapping.nodes.facade_aligner import FacadeAlignerNode
@@ -129,7 +263,8 @@ def test_scans_that_waited_for_a_new_path_are_placed_once_and_forgotten():
                domain_id=int(live.environment()['ROS_DOMAIN_ID']))
     try:
         aligner = FacadeAlignerNode()
-        scans, path = messages()[:100], path_message(estimates()[:110], 'odom')
+        scans = [serialize_message(scan) for scan in messages()[:100]]
+        path = serialize_message(path_message(estimates()[:110], 'odom'))
         before = scans_alive()
         for _ in range(4):                  # in all but the first, scans come before their path
             for scan in scans:

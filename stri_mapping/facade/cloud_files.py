@@ -38,6 +38,8 @@ TILE = 5_000_000
 CHUNK = 1_000_000
 # A cloud is searched by the time of one point in so many, seconds of slack aside.
 BLOCK, SLACK = 4096, 1.0
+# Points looked at in one go where the newest are looked for: seconds of them.
+PART = 100_000
 # Room for the digits of the point count, so that the header can be rewritten in place.
 COUNT_DIGITS = 15
 
@@ -240,6 +242,30 @@ def read_between(path: Path, begin: float, end: float) -> NDArray[np.void]:
         part = rows[first * BLOCK:int(np.searchsorted(blocks, end + SLACK)) * BLOCK]
         pieces.append(np.array(part[(begin <= part['time']) & (part['time'] <= end)]))
     return np.concatenate(pieces)
+
+
+def last_times(path: Path, since: float) -> dict[int, float]:
+    """
+    Return by ring the time of the last point of each scanner, as it is in the file.
+
+    Parameters
+    ----------
+    path
+        Its first file, which need not be there.
+    since
+        Seconds since the epoch: scanners whose last point is older may be left out.
+
+    """
+    found: dict[int, float] = {}
+    for tile in reversed(tiles(path)):
+        rows = _vertices(tile)
+        for stop in range(len(rows), 0, -PART):
+            part = np.array(rows[max(stop - PART, 0):stop])
+            for ring in np.unique(part['ring']).tolist():
+                found.setdefault(ring, float(part['time'][part['ring'] == ring][-1]))
+            if part['time'].max() < since:
+                return found
+    return found
 
 
 def count_points(path: Path) -> int:

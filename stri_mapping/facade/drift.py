@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from stri_mapping.facade.angles import heading
 from stri_mapping.facade.knots import Knots
 from stri_mapping.facade.patches import Patches
-from stri_mapping.facade.points import concatenate, FacadePoints
+from stri_mapping.facade.points import chosen, concatenate, FacadePoints
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -85,7 +85,7 @@ class DriftCorrector:
         for start, stop in zip(cuts, [*cuts[1:], len(points)]):
             own = slice(start, stop)
             self._coming.append(_Interval(int(points.stamps_ns[start] // KNOT_NS),
-                                          _part(points, own), poses[own]))
+                                          chosen(points, own), poses[own]))
 
     def take(self, until_ns: float) -> FacadePoints:
         """Return the points that are final, given all those of before a time; inf for the end."""
@@ -216,11 +216,6 @@ def _moved(xyz, poses, since, before, after):  # type: ignore[no-untyped-def]
 def _share(number: int, stamps_ns: Stamps) -> Array:
     """Return where times are within an interval, 0 to 1; lines may last a little longer."""
     return np.minimum((stamps_ns - number * KNOT_NS) / KNOT_NS, 1.0)
-
-
-def _part(points: FacadePoints, own: slice) -> FacadePoints:
-    return FacadePoints(points.xyz[own], points.intensity[own], points.stamps_ns[own],
-                        points.ring[own], points.label[own])
 
 
 def _joined(number: int, pieces: Sequence[_Interval]) -> _Interval:

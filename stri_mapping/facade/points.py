@@ -61,6 +61,12 @@ def concatenate(pieces: Sequence[FacadePoints]) -> FacadePoints:
         np.concatenate([np.empty(0, np.uint8), *(p.label for p in pieces)]))
 
 
+def chosen(points: FacadePoints, which: NDArray[np.bool_] | slice) -> FacadePoints:
+    """Return some of the points: a slice of them, or those of a mask (n,)."""
+    return FacadePoints(points.xyz[which], points.intensity[which], points.stamps_ns[which],
+                        points.ring[which], points.label[which])
+
+
 @dataclass(frozen=True, eq=False)
 class Rays:
     """

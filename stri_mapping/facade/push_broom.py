@@ -96,7 +96,7 @@ class FacadeAligner:
         """Wait for scans and poses."""
         self.counts = AlignerCounts()
         self._T_base_laser = np.array([s.T_base_laser for s in scanners]).reshape(-1, 4, 4)
-        self._pivot = np.asarray(pivot, dtype=float)
+        self._pivot = np.array(pivot, dtype=float)    # in one piece, as `warm_up` has it
         self._stabiliser = Stabiliser(scanners)
         self._stabilise = stabilise
         self._free_space = FreeSpace(self._T_base_laser[:, :3, 3])

@@ -5,24 +5,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, fields
 from pathlib import Path
-import struct
 from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.disk import cut_to_lines, keeping, whole_lines
+from stri_mapping.disk import keeping, last_line
 from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.points import FacadePoints
-from stri_mapping.facade.push_broom import AlignerCounts, FacadeAligner
-from stri_mapping.trajectory import read_tum, spatial_tum_line
+from stri_mapping.facade.push_broom import FacadeAligner
+from stri_mapping.trajectory import spatial_tum_line, stamp_of
 
 Stamps = NDArray[np.int64]
 Array = NDArray[np.float64]
-# What became of the rays, while the drive goes on.
-COUNTS_NAME, COUNTS = 'facade_counts', struct.Struct(f'<{len(fields(AlignerCounts))}q')
 STABILISED_NAME = 'trajectory_stabilised.tum'
 
 
@@ -43,13 +39,14 @@ class FacadeWriter:
 
     def __init__(self, folder: Path, names: Sequence[str], append: bool = False) -> None:
         """Begin the files, or open them."""
-        self._folder, self._counts = folder, folder / COUNTS_NAME
+        self._folder = folder
         self._cloud = CloudWriter(folder, names, append=append)
         self._poses: TextIO | None = None
         self._written_ns = -1                    # newest pose in the file
         path = folder / STABILISED_NAME
         if append and path.is_file():
-            self._written_ns = int(read_tum(path).stamps_ns.max(initial=-1))
+            line = last_line(path)
+            self._written_ns = stamp_of(line.split()[0]) if line else -1
         if names:
             self._poses = path.open('a' if append else 'w', encoding='utf-8')
         elif not append:
@@ -61,12 +58,9 @@ class FacadeWriter:
         self.write(points, *aligner.take_poses())
         return points
 
-    def write(self, points: FacadePoints, stamps: Stamps, poses: Array,
-              counts: AlignerCounts | None = None) -> None:
+    def write(self, points: FacadePoints, stamps: Stamps, poses: Array) -> None:
         """
-        Write points, poses (n, 6) with their stamps (n,), and what became of the rays so far.
-
-        The counts are for `kept_counts` of a writer that takes over after a crash.
+        Write points, and poses (n, 6) with their stamps (n,).
 
         Raises
         ------
@@ -81,18 +75,9 @@ class FacadeWriter:
                 for stamp, pose in zip(stamps[new].tolist(), poses[new]):
                     self._poses.write(spatial_tum_line(stamp, pose) + '\n')
                 self._poses.flush()
-            if counts is not None:
-                self._counts.write_bytes(COUNTS.pack(*astuple(counts)))
-
-    def kept_counts(self) -> AlignerCounts:
-        """Return what became of the rays before a crash; zeros where that is not known."""
-        if not self._counts.is_file() or self._counts.stat().st_size != COUNTS.size:
-            return AlignerCounts()
-        return AlignerCounts(*COUNTS.unpack(self._counts.read_bytes()))
 
     def close(self) -> None:
         """Finish all files; a second call does nothing."""
-        self._counts.unlink(missing_ok=True)
         with keeping(self._folder, room=0):
             if self._poses is not None:
                 self._poses.close()
@@ -108,7 +93,7 @@ class FacadeWriter:
                 pass
         path = self._folder / STABILISED_NAME
         if path.is_file():
-            cut_to_lines(path, whole_lines(path))
+            last_line(path)
 
 
 def facade_facts(aligner: FacadeAligner) -> dict[str, Any]:
@@ -124,8 +109,11 @@ def facade_facts(aligner: FacadeAligner) -> dict[str, Any]:
 
     """
     counts = aligner.counts
-    total = max(counts.points, 1)
+
+    def share(told: int) -> float:
+        # after a crash some of a tenth of a second may have been counted twice
+        return round(min(told / max(counts.points, 1), 1.0), 4)
     return {'rays_without_return': counts.no_return, 'rays_without_pose': counts.outside,
-            'roll_stabilised': round(counts.roll_told / total, 4),
-            'pitch_stabilised': round(counts.pitch_told / total, 4),
-            'yaw_corrected': round(counts.yaw_told / total, 4)}
+            'roll_stabilised': share(counts.roll_told),
+            'pitch_stabilised': share(counts.pitch_told),
+            'yaw_corrected': share(counts.yaw_told)}

@@ -7,6 +7,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 import math
+import struct
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
@@ -153,6 +154,12 @@ def path_message(estimates: Sequence[Estimate], odom_frame: str) -> Path:
         message.poses.append(pose)
         message.header.stamp = pose.header.stamp
     return message
+
+
+def header_stamp(data: bytes) -> int:
+    """Return the stamp in nanoseconds of a serialised message that begins with a header."""
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
+    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def poses_from_path(message: Path, yaw: float = 0.0) -> tuple[NDArray[np.int64], Array]:

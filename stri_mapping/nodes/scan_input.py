@@ -10,6 +10,7 @@ from itertools import islice
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import LaserScan
 
 from stri_mapping.nodes.polling import Polled, take_all, wait_for
@@ -43,7 +44,7 @@ class ScanInput:
     scanner
         Whose topic is subscribed.
     callback
-        Takes each good scan.
+        Takes each good scan, and the serialised message that it came in.
     on_jump
         Called when the stamps have gone back by more than a second, before the first scan of
         the new time is handed on.
@@ -57,7 +58,7 @@ class ScanInput:
 
     """
 
-    def __init__(self, node: Node, scanner: Scanner, callback: Callable[[Scan], None],
+    def __init__(self, node: Node, scanner: Scanner, callback: Callable[[Scan, bytes], None],
                  on_jump: Callable[[], object] = lambda: None, log: ScanLog | None = None,
                  ) -> None:
         """Subscribe."""
@@ -65,11 +66,11 @@ class ScanInput:
         self.scanner = scanner
         self._on_jump = on_jump
         self._awaits_jump = False
-        self._newest = 0
         self._begin(log or ScanLog())
+        self._newest = self._log.stamps[-1] if self._log.stamps else 0
         self._group = Polled()
         self._subscription = subscribe(node, LaserScan, scanner.topic, _taken, LOSSLESS,
-                                       callback_group=self._group)
+                                       callback_group=self._group, raw=True)
         node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
@@ -100,12 +101,13 @@ class ScanInput:
     def take(self) -> int:
         """Hand on what has gathered, up to `AT_ONCE` scans; return how many."""
         count = 0
-        for message, _ in islice(take_all(self._subscription), AT_ONCE):
-            self._take(message)
+        for data, _ in islice(take_all(self._subscription), AT_ONCE):
+            self._take(data)
             count += 1
         return count
 
-    def _take(self, message: LaserScan) -> None:
+    def _take(self, data: bytes) -> None:
+        message = deserialize_message(data, LaserScan)
         stamp = stamp_ns(message.header.stamp)
         if stamp < self._newest - JUMP_NS:
             if not self._awaits_jump:
@@ -118,7 +120,7 @@ class ScanInput:
         scan = self._intake.take(message)
         self._log.note(None if scan is None else scan.stamp_ns)
         if scan is not None:
-            self._callback(scan)
+            self._callback(scan, data)
 
     def _look(self) -> None:
         """Accept best effort once a publisher offers no more."""
@@ -130,8 +132,9 @@ class ScanInput:
             f'{self._topic}: a publisher offers best effort only; some scans may get lost')
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._node.create_subscription(
-            LaserScan, self._topic, _taken, qos_profile_sensor_data, callback_group=self._group)
+            LaserScan, self._topic, _taken, qos_profile_sensor_data, callback_group=self._group,
+            raw=True)
 
 
-def _taken(message: LaserScan) -> None:
+def _taken(data: bytes) -> None:
     """Do nothing: `ScanInput.take` has every message."""

@@ -119,7 +119,7 @@ class StriEstimatorNode:
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self.node, {'motion': self._report})
 
-    def _take(self, scan: Scan) -> None:
+    def _take(self, scan: Scan, _: bytes) -> None:
         start = perf_counter()
         estimate = self._estimator.add(scan)
         self._seconds_busy += perf_counter() - start
