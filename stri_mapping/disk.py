@@ -49,8 +49,8 @@ def cut_to_lines(path: Path, lines: int) -> None:
         file.truncate(file.tell())
 
 
-def last_line(path: Path) -> str:
-    """Cut off the end of a text file that is no whole line; return the last line, or nothing."""
+def end_whole(path: Path) -> str:
+    """Cut off what is no whole line at the end of a text file; return its last line, if any."""
     with path.open('r+b') as file:
         begin = max(file.seek(0, os.SEEK_END) - LONGEST_LINE, 0)
         file.seek(begin)

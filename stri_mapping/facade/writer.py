@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.disk import keeping, last_line
+from stri_mapping.disk import keeping, end_whole
 from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.points import FacadePoints
 from stri_mapping.facade.push_broom import FacadeAligner
@@ -45,7 +45,7 @@ class FacadeWriter:
         self._written_ns = -1                    # newest pose in the file
         path = folder / STABILISED_NAME
         if append and path.is_file():
-            line = last_line(path)
+            line = end_whole(path)
             self._written_ns = stamp_of(line.split()[0]) if line else -1
         if names:
             self._poses = path.open('a' if append else 'w', encoding='utf-8')
@@ -93,7 +93,7 @@ class FacadeWriter:
                 pass
         path = self._folder / STABILISED_NAME
         if path.is_file():
-            last_line(path)
+            end_whole(path)
 
 
 def facade_facts(aligner: FacadeAligner) -> dict[str, Any]:
