@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.disk import keeping, end_whole
+from stri_mapping.disk import end_whole, keeping
 from stri_mapping.facade.cloud_files import CloudWriter
 from stri_mapping.facade.points import FacadePoints
 from stri_mapping.facade.push_broom import FacadeAligner
