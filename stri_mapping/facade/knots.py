@@ -79,15 +79,13 @@ class Knots:
 
     def deviation(self, knot: int) -> Array:
         """Return the deviations (s,) of a knot as of the last `solve`; -1 is the newest."""
-        size = self._size
+        count, size = len(self._factor), self._size
         # knots that have been dropped since then are still in the factor
-        back = -knot if knot < 0 else len(self.solution) - knot
-        begin = len(self._factor) - back * size
-        chosen = np.zeros((back * size, size), order='F')
-        chosen[:size].flat[::size + 1] = 1.0
-        # the covariance is L^-T L^-1, and L^-1 has nothing above the knot
-        half, _ = lapack.dtrtrs(self._factor[begin:, begin:], chosen, lower=1, overwrite_b=1)
-        return np.asarray(np.sqrt(np.einsum('ij,ij->j', half, half)))
+        begin = count - (-knot if knot < 0 else len(self.solution) - knot) * size
+        chosen = np.zeros((count, size), order='F')
+        chosen[begin:begin + size] = np.eye(size)
+        columns, _ = lapack.dpotrs(self._factor, chosen, lower=1, overwrite_b=1)
+        return np.asarray(np.sqrt(columns[begin:begin + size].diagonal()))
 
     def drop_oldest(self) -> tuple[Array, Array]:
         """Return the oldest knot (s,) and its deviations (s,), and pass on what it tells."""
