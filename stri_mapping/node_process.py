@@ -20,6 +20,9 @@ from stri_mapping.spares import Spares
 SUPERVISOR_VARIABLE = 'STRI_MAPPING_SUPERVISOR'
 # Seconds a node may take for its end: it takes in its backlog and writes its results.
 PATIENCE = 120.0
+# Seconds after which a node that has not ended is asked again, by a signal that never kills: one
+# of some hundred runs had an aligner that went on as if it had not been asked, cause unknown.
+REMIND = 20.0
 # Seconds before a node that died is started again: by how often in a row it has.
 BACK_OFF = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 # Seconds after its start from which a node has a spare, if it is one that is started again.
@@ -183,11 +186,18 @@ class Child:
     def end(self, patience: float = PATIENCE) -> int:
         """Wait for the process asked to end, kill it when it does not; return its exit code."""
         self.ask_to_end()
-        try:
-            self.process.wait(patience)
-        except subprocess.TimeoutExpired:
-            self.say(f'did not end within {patience:.0f} s: killed')
-            self.signal(signal.SIGKILL)
+        deadline = time.monotonic() + patience
+        while self.process.poll() is None:
+            left = deadline - time.monotonic()
+            try:
+                self.process.wait(max(min(left, REMIND), 0.0))
+            except subprocess.TimeoutExpired:
+                if left <= REMIND:
+                    self.say(f'did not end within {patience:.0f} s: killed')
+                    self.signal(signal.SIGKILL)
+                    break
+                self.say('has not ended yet: asked again')
+                self.signal(signal.SIGHUP)
         code = self.process.wait()
         self._pump.join(1.0)
         return code

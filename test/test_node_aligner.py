@@ -9,6 +9,7 @@ import gc
 import os
 from pathlib import Path as FilePath
 import signal
+import subprocess
 from typing import Any
 
 import live
@@ -61,6 +62,16 @@ def offline() -> np.ndarray:
     return aligner.take_points().xyz
 
 
+def end(process: subprocess.Popen[str], executor: Any) -> None:
+    """Stop the aligner, take what it still publishes, and see that it ended well."""
+    process.send_signal(signal.SIGTERM)
+    live.spin_until(executor, lambda: process.poll() is not None, 'the end')
+    for _ in range(10):
+        executor.spin_once(timeout_sec=0.05)
+    output, _ = process.communicate()
+    assert process.returncode == 0, output
+
+
 def test_points_are_those_of_the_core_though_the_path_was_there_first(tmp_path):
     from nav_msgs.msg import Path
     from sensor_msgs.msg import LaserScan, PointCloud2
@@ -84,12 +95,7 @@ def test_points_are_those_of_the_core_though_the_path_was_there_first(tmp_path):
             live.spin_until(executor, lambda: clouds, 'points')
             own.create_subscription(PointCloud2, 'facade/map', maps.append, live.latched())
             live.spin_until(executor, lambda: maps, 'the map')
-            process.send_signal(signal.SIGTERM)
-            live.spin_until(executor, lambda: process.poll() is not None, 'the end')
-            for _ in range(10):
-                executor.spin_once(timeout_sec=0.05)
-            output, _ = process.communicate()
-    assert process.returncode == 0, output
+            end(process, executor)
     records = np.concatenate([np.frombuffer(m.data, POINT) for m in clouds])
     expected = offline()
     assert len(records) == len(expected) == count_points(tmp_path / 'facade.ply')
@@ -197,12 +203,7 @@ def test_kill_9_costs_no_scan_that_has_come_and_doubles_no_point(tmp_path):
             feeder.scans(220, SCANS)
             feeder.path(250, SCANS + 2)
             live.spin_until(executor, lambda: len(in_cloud(tmp_path)) > len(before), 'more points')
-            process.send_signal(signal.SIGTERM)
-            live.spin_until(executor, lambda: process.poll() is not None, 'the end')
-            for _ in range(10):
-                executor.spin_once(timeout_sec=0.05)
-            output, _ = process.communicate()
-    assert process.returncode == 0, output
+            end(process, executor)
     expected = rays_of(*range(200), *range(220, SCANS))
     np.testing.assert_array_equal(in_cloud(tmp_path), expected)
     heard = feeder.rays()

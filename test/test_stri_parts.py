@@ -11,10 +11,10 @@ from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs
 from stri_mapping.stri.estimate import of_base, speed_sigma
-from stri_mapping.stri.proposal import SlopeSearch
+from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
-from stri_mapping.stri.recovery import another_motion
+from stri_mapping.stri.recovery import Recovery
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
@@ -199,14 +199,47 @@ def test_another_motion_is_found_while_speed_is_gained_or_lost(rate):
         scan = scan_at(t, np.array([moved, 0.0, 0.0]), WALL + COLUMNS, noise=0.01, rng=rng)
         profiles.append((t, ANGLES, scan.ranges))
     # the path stayed behind, and has hardly changed its speed
-    found = another_motion(profiles, LEFT, np.array([4.0, 0.0, 0.0]), 0.1 * rate, 0.5, True)
+    path = np.array([4.0, 0.0, 0.0])
+    found = Recovery(LEFT).another_motion(profiles, path, 0.1 * rate, 0.5, True)
     assert found is not None
     twist, acceleration = found
     # rays 0.1 m apart at 6 m, scans 0.45 s apart
     assert twist[0] == pytest.approx(speed, abs=0.1 / 0.45) and acceleration == rate
     # a path that is right is left alone
     true = np.array([speed, 0.0, 0.0])
-    assert another_motion(profiles, LEFT, true, rate, 0.5, True) is None
+    assert Recovery(LEFT).another_motion(profiles, true, rate, 0.5, True) is None
+
+
+def drive_past_leaves(begin: float, speed: float, share: float) -> list[Profile]:
+    """Return profiles of 0.6 s at a speed, a share of whose rays end anywhere."""
+    rng = np.random.default_rng(int(10.0 * begin))
+    profiles = []
+    for k in range(46):
+        t = begin + 0.01332 * k
+        scan = scan_at(t, np.array([speed * t, 0.0, 0.0]), WALL + COLUMNS, noise=0.01, rng=rng)
+        leaves = rng.random(181) < share
+        profiles.append((t, ANGLES, np.where(leaves, rng.uniform(2.0, 9.0, 181), scan.ranges)))
+    return profiles
+
+
+def test_a_motion_that_is_merely_better_is_believed_when_three_looks_find_it():
+    path, recovery = np.array([-1.0, 0.0, 0.0]), Recovery(LEFT)
+    looks = [drive_past_leaves(begin, 5.0, 0.15) for begin in (0.0, 0.3, 0.6)]
+    found = [recovery.another_motion(each, path, 0.0, 0.3, True) for each in looks]
+    assert found[0] is None and found[1] is None
+    assert found[2] is not None
+    assert found[2][0][0] == pytest.approx(5.0, abs=0.1 / 0.45)
+    # too long ago to be of the same motion
+    late = Recovery(LEFT)
+    apart = [drive_past_leaves(begin, 5.0, 0.15) for begin in (0.0, 1.0, 2.0)]
+    assert all(late.another_motion(each, path, 0.0, 0.3, True) is None for each in apart)
+
+
+def test_looks_that_find_different_motions_are_not_believed():
+    path, recovery = np.array([-1.0, 0.0, 0.0]), Recovery(LEFT)
+    for begin, speed in ((0.0, 5.0), (0.3, 2.0), (0.6, 7.0)):
+        look = drive_past_leaves(begin, speed, 0.15)
+        assert recovery.another_motion(look, path, 0.0, 0.3, True) is None
 
 
 def test_without_anything_to_see_the_proposal_is_to_stand():

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 import ctypes
 import logging
+import math
 import os
 import signal
 import sys
@@ -38,6 +39,9 @@ ACKNOWLEDGE = Duration(seconds=10)
 # Seconds a node that was stopped waits for the end of those that feed it: all may be stopped at
 # once, and the last poses come when the estimator has finished.
 PATIENCE = 3.0
+# Seconds after which a node that was stopped ends although something still comes; less than what
+# the supervisor allows.
+REST = 60.0
 # Seconds between two turns of everything of a node but its scans.
 TURN = 0.1
 # Seconds without anything new after which readers count as empty.
@@ -146,11 +150,12 @@ def _spin(make: Callable[[], ProcessingNode], stop: StopRequest) -> None:
                     due = time.monotonic() + TURN
                     _run_ready(executor, 0.0)
             taken = _take(processing)
-        _take_rest(processing, executor)
+        until = time.monotonic() + REST
+        _take_rest(processing, executor, until)
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end and any(
                 processing.node.count_publishers(topic) for topic in processing.upstream):
-            _take_rest(processing, executor)
+            _take_rest(processing, executor, until)
         processing.finish()
         for publisher in processing.node.publishers:
             publisher.wait_for_all_acked(ACKNOWLEDGE)
@@ -164,23 +169,31 @@ def _take(processing: ProcessingNode) -> int:
     return max([each.take() for each in processing.inputs], default=0)
 
 
-def _run_ready(executor: SingleThreadedExecutor, quiet: float) -> bool:
+def _run_ready(
+    executor: SingleThreadedExecutor, quiet: float, until: float = math.inf,
+) -> bool:
     """Run callbacks until none has been ready for some seconds; return whether any was."""
     ran = False
-    while True:
+    while time.monotonic() < until:
         try:
             callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=quiet)
         except TimeoutException:
-            return ran
+            break
         callback()
         callback.result()
         ran = True
+    return ran
 
 
-def _take_rest(processing: ProcessingNode, executor: SingleThreadedExecutor) -> None:
-    """Run callbacks and take scans until nothing has come for a moment."""
-    while _run_ready(executor, QUIET) + _take(processing):
-        pass
+def _take_rest(
+    processing: ProcessingNode, executor: SingleThreadedExecutor, until: float,
+) -> None:
+    """Run callbacks and take scans until nothing has come for a moment, or time is up."""
+    while _run_ready(executor, QUIET, until) + _take(processing):
+        if time.monotonic() >= until:
+            processing.node.get_logger().warning(
+                f'something still comes {REST:.0f} s after the end was asked for: it ends now')
+            return
 
 
 def warn_of_unknown_parameters(node: Node) -> None:

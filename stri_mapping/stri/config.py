@@ -32,6 +32,9 @@ class JointConfig:
         angular acceleration is 2 rad/s^2 where scans are rare.
     turn
         Standard deviation of the turn rate, rad/s: where nothing tells it, the way is straight.
+    slip, slip_arm
+        Standard deviation of base_link's sideways speed, m/s, infinite for a vehicle that can go
+        sideways; and metres by which the axle that does not slip may be off base_link.
     far
         Metres beyond which returns are not used.
     start_steps
@@ -59,6 +62,8 @@ class JointConfig:
     acceleration: float = 4.0
     angular_acceleration: float = 0.5
     turn: float = 0.4
+    slip: float = 0.07
+    slip_arm: float = 0.5
     far: float = 80.0
     start_steps: int = 8
     iterations: int = 7

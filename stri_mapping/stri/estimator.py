@@ -23,7 +23,7 @@ from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
-from stri_mapping.stri.recovery import another_motion, changed_twist
+from stri_mapping.stri.recovery import changed_twist, Recovery
 from stri_mapping.stri.segmentation import Labels, Segmenter
 from stri_mapping.stri.trust import LABELS, MOVES
 
@@ -66,6 +66,7 @@ class StriEstimator:
         self._looks = False                      # whether a look for the motion is due
         self._found: tuple[Array, float] | None = None      # another motion, to be taken up
         self._profiles: deque[Profile] = deque()
+        self._recovery = Recovery(self._mount)
         self._origin_ns: int | None = None
         self._T_odom_first = np.zeros(3)         # odom from the path's own frame
 
@@ -148,7 +149,7 @@ class StriEstimator:
         angles = self._starting[0][0].angles
         step = float(abs(angles[1] - angles[0]))
         self._path = path = JointPath(
-            self._spacing(), step, _rotation(-self._mount[2])[:2, 0], self.config.joint)
+            self._spacing(), step, self._mount, self.config.joint)
         path.trust.add(self._segmenter.surfaces)
         path.trust.pardon()
         kept, self._starting = self._starting, []
@@ -243,7 +244,8 @@ class StriEstimator:
         end, begin = self._pending[-1][1], self._profiles[0][0]
         now, before = (self._estimate(0, time).twist for time in (end, begin))
         gain = (now[0] - before[0]) / max(end - begin, self._path.h)
-        return another_motion(list(self._profiles), self._mount, now, gain, sigma, doubted)
+        return self._recovery.another_motion(
+            list(self._profiles), now, gain, sigma, doubted)
 
     def _release(self, until: float) -> None:
         assert self._path is not None

@@ -51,15 +51,15 @@ class JointPath:
         Knot spacing in seconds.
     angle_step
         Radians between rays of a scan.
-    forward
-        (2,) direction of travel in the scanner frame.
+    mount
+        (3,) x, y, yaw of the scanner in base_link.
     config
         Settings.
 
     """
 
     def __init__(
-        self, spacing: float, angle_step: float, forward: Array, config: JointConfig,
+        self, spacing: float, angle_step: float, mount: Array, config: JointConfig,
     ) -> None:
         """Start with no scan."""
         self.h = spacing
@@ -76,7 +76,8 @@ class JointPath:
         self.slow = spacing > SLOW
         self._kept = config.active if self.slow else max(config.active, config.kept)
         self._start = 0           # knot at which the motion was taken up
-        self._forward = forward
+        self._forward = np.array([np.cos(mount[2]), -np.sin(mount[2])])
+        self._slip = np.array([mount[0], max(config.slip, 1e-3), config.slip_arm])
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
         self._newest = np.empty((0, 5))         # rays of the newest keyframe's own interval
         h, c = spacing, config
@@ -253,9 +254,9 @@ class JointPath:
         solve(
             self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
-            newest, iterations, self._jerk, self._acceleration, self._straight, self.error.value,
-            weights, self._forward,
-            self.trust.votes, SLOW_DILUTION if self.slow else DILUTION)
+            newest, iterations, self._jerk, self._acceleration, self._straight, self._slip,
+            self.error.value, weights, self._forward, self.trust.votes,
+            SLOW_DILUTION if self.slow else DILUTION)
 
     def _weights(self) -> Array:
         """Return the weight of each surface by number, one of scans too rare to follow any."""

@@ -9,6 +9,8 @@ scans are too rare for an extrapolated path to be a good start, a change of its 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,63 +21,101 @@ Array = NDArray[np.float64]
 CHANGES = np.linspace(-1.5, 1.5, 13), np.deg2rad(np.linspace(-60.0, 60.0, 13))
 TURNS = np.deg2rad(np.array([-4.0, 0.0, 4.0]))
 ACCELERATIONS = (0.0, -2.5, 2.5)        # m/s^2
-MANY = 20                   # scans, fewer do not tell an acceleration
+MANY = 20       # scans, fewer do not tell an acceleration, nor, a few of them, leaves from walls
 FARTHEST = 12.0             # m/s from the path's speed to the farthest that is tried
-DOUBTED = 5.0               # m/s, the least reach when the path is doubted
+DOUBTED, SLOWLY_DOUBTED = 9.0, 5.0      # m/s, the least reach when the path is doubted
+FINEST, COARSEST = 15, 0.4  # candidates to either side at the least; m/s between them at the most
 MARGIN = 0.004              # metres, the least by which a proposal must be better
-DECISIVE = 0.7              # cost of a proposal over that of others, to be believed
+DECISIVE = 0.7              # cost of a proposal over that of others, to be believed at once
+BETTER, LOOKS = 0.92, 3     # to be believed when found by so many looks in a row
+PATIENCE = 0.7              # seconds between them at the most
+SAME, GAINED = 0.5, 4.0     # m/s, m/s^2 within which they have found the same
 SEEN = 0.25                 # share of rays on what stands, below which no motion can be told
+SEEN_WELL = 0.5             # below which it must be decisively better
 APART = 1.5                 # m/s to other speeds that must be clearly worse
 
 
-def another_motion(
-    profiles: list[Profile], mount: Array, now: Array, gain: float, sigma: float, doubted: bool,
-) -> tuple[Array, float] | None:
+class Recovery:
     """
-    Look for a motion that tells scans decisively better than that of the path.
+    Looks for another motion while that of the path is in doubt.
+
+    What one look finds decisively better is believed at once; what is merely better, when
+    several looks in a row, each with its own scans, have found the same.
 
     Parameters
     ----------
-    profiles
-        The newest scans, NaN on what is known to move.
     mount
         (3,) planar pose of the scanner in base_link.
-    now
-        (3,) twist of base_link as the path has it.
-    gain
-        Acceleration in m/s^2 by which it has come to its speed.
-    sigma
-        Standard deviation of its speed in m/s: speeds within six are tried.
-    doubted
-        Whether known surfaces speak against it, whatever its deviation.
-
-    Returns
-    -------
-    tuple or None
-        Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
 
     """
-    if np.mean([np.isfinite(ranges).mean() for _, _, ranges in profiles]) < SEEN:
-        return None
-    reach = min(max(6.0 * sigma, DOUBTED * doubted), FARTHEST)
-    rates = ACCELERATIONS if len(profiles) >= MANY else ACCELERATIONS[:1]
-    searches = [_search_around(profiles, mount, now, reach, a) for a in rates]
-    search = min(searches, key=SlopeSearch.coarse_cost)
-    twist, cost = search.best()
-    own = min(searches, key=lambda each: abs(each.acceleration - gain))
-    least = min(own.cost_of(now),
-                *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
-    inside = abs(twist[0] - now[0]) < 0.9 * reach
-    better = inside and cost < DECISIVE * least and cost < least - MARGIN
-    return (twist, search.acceleration) if better else None
+
+    def __init__(self, mount: Array) -> None:
+        """Begin with nothing found."""
+        self._mount = mount
+        self._found: list[tuple[float, float]] = []     # seconds and speed, of looks in a row
+
+    def another_motion(
+        self, profiles: list[Profile], now: Array, gain: float, sigma: float, doubted: bool,
+    ) -> tuple[Array, float] | None:
+        """
+        Look for a motion that tells scans better than that of the path.
+
+        Parameters
+        ----------
+        profiles
+            The newest scans, NaN on what is known to move.
+        now
+            (3,) twist of base_link as the path has it.
+        gain
+            Acceleration in m/s^2 by which it has come to its speed.
+        sigma
+            Standard deviation of its speed in m/s: speeds within six are tried.
+        doubted
+            Whether known surfaces speak against it, whatever its deviation.
+
+        Returns
+        -------
+        tuple or None
+            Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
+
+        """
+        seen = np.mean([np.isfinite(ranges).mean() for _, _, ranges in profiles])
+        if seen < SEEN:
+            return None
+        many = len(profiles) >= MANY
+        reach = min(max(6.0 * sigma, (DOUBTED if many else SLOWLY_DOUBTED) * doubted), FARTHEST)
+        rates = ACCELERATIONS if many else ACCELERATIONS[:1]
+        searches = [_search_around(profiles, self._mount, now, reach, a) for a in rates]
+        search = min(searches, key=SlopeSearch.coarse_cost)
+        twist, cost = search.best()
+        own = min(searches, key=lambda each: abs(each.acceleration - gain))
+        least = min(own.cost_of(now),
+                    *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
+        inside = abs(twist[0] - now[0]) < 0.9 * reach
+        better = inside and cost < least - MARGIN
+        again = better and many and seen > SEEN_WELL and cost < BETTER * least and self._again(
+            profiles[-1][0], twist[0])
+        if not again and not (better and cost < DECISIVE * least):
+            return None
+        self._found = []
+        return twist, search.acceleration
+
+    def _again(self, time: float, speed: float) -> bool:
+        """Tell whether the looks before have found the same, but for what a vehicle may gain."""
+        if self._found and time - self._found[-1][0] > PATIENCE:
+            self._found = []
+        self._found = [(t, v) for t, v in self._found
+                       if abs(v - speed) < SAME + GAINED * (time - t)] + [(time, speed)]
+        return len(self._found) >= LOOKS
 
 
 def _search_around(
     profiles: list[Profile], mount: Array, twist: Array, reach: float, acceleration: float,
 ) -> SlopeSearch:
     """Return the search of scans for speeds around that of a twist."""
+    aside = max(FINEST, math.ceil(reach / COARSEST))
     search = SlopeSearch(
-        mount, twist[0] + np.linspace(-reach, reach, 31),
+        mount, twist[0] + np.linspace(-reach, reach, 2 * aside + 1),
         twist[2] + (TURNS if acceleration == 0.0 else TURNS[1:2]),
         acceleration=acceleration, until=profiles[-1][0])
     for profile in profiles:
@@ -90,7 +130,7 @@ def changed_twist(profiles: list[Profile], mount: Array, now: Array) -> Array | 
     Parameters
     ----------
     profiles, mount, now
-        As in `another_motion`.
+        As in `Recovery`.
 
     Returns
     -------

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.pairs import linearise, relative
+from stri_mapping.stri.priors import add_differences, add_slip, FIRST, SECOND, TAIL, THIRD
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
@@ -25,10 +26,7 @@ RESIDUALS = 100   # of a pair, about: more of one keyframe tell little new
 MOVED, TURNED = 0.003, 0.0007     # metres, radians: beyond, a pair is linearised again
 STOP = 2e-4                       # metres or radians: the fit has converged
 ANCHOR, LOOSE = 1e8, 1e2      # information, 1/m^2 or 1/rad^2, on a fixed place and on a rough one
-TAIL = 2.0                # standard deviations beyond which a jerk is taken as it comes
 VOTES = 1.2        # seconds between keyframes whose comparison tells what moves
-THIRD, SECOND = np.array([-1.0, 3.0, -3.0, 1.0]), np.array([1.0, -2.0, 1.0])
-FIRST = np.array([-1.0, 1.0])
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -36,8 +34,8 @@ def solve(
     knots: Array, h: float, first: int, last: int, start: int, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
     counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
-    jerk: Array, acceleration: Array, straight: Array, pull: float, trust: Array,
-    forward: Array, votes: Array, dilution: float,
+    jerk: Array, acceleration: Array, straight: Array, slip: Array, pull: float,
+    trust: Array, forward: Array, votes: Array, dilution: float,
 ) -> None:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -59,6 +57,8 @@ def solve(
         Pairs with a keyframe at or after this time anneal by `scales`.
     jerk, acceleration, straight
         (3,) prior information of third, second and first differences of the coefficients.
+    slip
+        See `priors.add_slip`.
     pull, trust, forward, votes
         See `pairs.linearise`; neighbours in time among the newest pairs vote.
     dilution
@@ -74,9 +74,11 @@ def solve(
             knots, h, first, ends, z, hessian, gradient, passes, time, pose, surfels, counts,
             bins, scale, final, len(scales) - 1, newest, pull, trust, forward, votes,
             dilution, information, slope)
-        add_prior(knots, first, last, start, THIRD, jerk, TAIL, information, slope)
-        add_prior(knots, first, last, start, FIRST, straight, np.inf, information, slope)
-        add_prior(knots, first, last, start, SECOND, acceleration, np.inf, information, slope)
+        add_differences(knots, first, last, start, THIRD, jerk, TAIL, information, slope)
+        add_differences(knots, first, last, start, FIRST, straight, np.inf, information, slope)
+        add_differences(
+            knots, first, last, start, SECOND, acceleration, np.inf, information, slope)
+        add_slip(knots, h, first, last, start, forward, slip, information, slope)
         for d in range(3 * n):
             information[d, d] += 1e-6
         if start >= first:
@@ -214,34 +216,3 @@ def product(left: Array, middle: Array, right: Array, factor: float, out: Array)
                        + middle[2, 2] * right[2, c])
         for r in range(3):
             out[r, c] = left[0, r] * m0 + left[1, r] * m1 + left[2, r] * m2
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def add_prior(
-    knots: Array, first: int, last: int, start: int, stencil: Array, weight: Array, tail: float,
-    information: Array, slope: Array,
-) -> None:
-    """
-    Add the prior that finite differences of the coefficients are small, but across start.
-
-    Beyond `tail` standard deviations it gives way (Cauchy): brakes that bite, or a vehicle that
-    has come to its stop, are rare and hard jerks.
-    """
-    width = len(stencil)
-    for k in range(max(first - width + 1, 0), last - width + 1):
-        if k < start < k + width:
-            continue
-        for d in range(3):
-            e = 0.0
-            for i in range(width):
-                e += stencil[i] * knots[k + i, d]
-            w = weight[d] / (1.0 + weight[d] * e * e / tail ** 2)
-            for i in range(width):
-                row = 3 * (k + i - first) + d
-                if row < 0:
-                    continue
-                slope[row] += w * stencil[i] * e
-                for j in range(width):
-                    column = 3 * (k + j - first) + d
-                    if column >= 0:
-                        information[row, column] += w * stencil[i] * stencil[j]

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri.pairs import relative
-from stri_mapping.stri.smoother import add_pair, add_prior, product, SECOND, THIRD
+from stri_mapping.stri.priors import add_differences, SECOND, THIRD
+from stri_mapping.stri.smoother import add_pair, product
 from stri_mapping.stri.spline import basis, pose_at
 from stri_mapping.stri.window import Keyframes, Pairs
 
@@ -111,10 +112,10 @@ def _new_prior(done: int, count: int, jerk: Array, acceleration: Array) -> Array
     knots, slope = np.zeros((count, 3)), np.zeros(3 * count)
     information = np.zeros((3 * count, 3 * count))
     before = np.zeros((3 * count, 3 * count))
-    add_prior(knots, 0, count, 0, THIRD, jerk, np.inf, information, slope)
-    add_prior(knots, 0, count, 0, SECOND, acceleration, np.inf, information, slope)
-    add_prior(knots, 0, done, 0, THIRD, jerk, np.inf, before, slope)
-    add_prior(knots, 0, done, 0, SECOND, acceleration, np.inf, before, slope)
+    add_differences(knots, 0, count, 0, THIRD, jerk, np.inf, information, slope)
+    add_differences(knots, 0, count, 0, SECOND, acceleration, np.inf, information, slope)
+    add_differences(knots, 0, done, 0, THIRD, jerk, np.inf, before, slope)
+    add_differences(knots, 0, done, 0, SECOND, acceleration, np.inf, before, slope)
     return information - before
 
 
