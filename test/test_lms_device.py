@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+import threading
 import time
 
 from lms_rig import inject, rigs, wait
@@ -66,6 +67,17 @@ def test_after_each_fault_it_streams_again_with_nothing_wrong_twice_or_out_of_or
             # what an outage costs is counted to one scan or two
             outage = max(np.diff([at for at, _ in rig.got]))
             assert rig.driver.stamper.lost == pytest.approx(outage / 13.32e-3, abs=30)
+
+
+def test_a_scanner_that_hears_nothing_for_a_while_is_left_well_all_the_same(tmp_path):
+    with rigs(tmp_path, {'lms': ()}) as (ports, made):
+        rig = made['lms']
+        wait(lambda: len(rig.got) > 20, 'scans')
+        inject(ports, rig, Fault('miss', duration=1.5))
+        injected = threading.Event()
+        ports.post(injected.set)
+        assert injected.wait(60.0)
+    assert (rig.device.memory.mode, rig.device.memory.rate) == (ON_REQUEST, 9600)
 
 
 @pytest.mark.parametrize('rate, streaming', [(9600, False), (38400, True), (500000, True)])

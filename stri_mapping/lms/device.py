@@ -51,6 +51,9 @@ POWER_ON_RATE = 9600
 ACK_TIME, ANSWER_TIME, SWITCH_TIME, WRITE_TIME, NAK_PAUSE = 0.25, 1.0, 3.0, 15.0, 0.1
 # At some mirror positions a scanner misses a request altogether (TL 4.3).
 TRIES = 3
+# The same of the last requests: a computer that lags misses three answers, and a scanner that has
+# not heard them goes on streaming at a rate that others do not look for.
+LEAVE_TRIES = 10
 # Seconds of silence after which an answer is looked for inside a telegram that it has cut.
 SLICE = 0.02
 # Between a rate's change and the next request; further requests wait for as long as it takes.
@@ -286,15 +289,15 @@ class Device:
         """Let it stream."""
         self.switch(stream.request)
 
-    def stop(self) -> None:
+    def stop(self, tries: int = TRIES) -> None:
         """Let it fall silent; it then waits for requests."""
-        self.switch(SwitchMode(ON_REQUEST))
+        self.switch(SwitchMode(ON_REQUEST), tries)
 
     def leave(self) -> None:
         """Leave it as after power-on: silent, at 9600 Bd."""
-        self.stop()
+        self.stop(LEAVE_TRIES)
         if self.line.adjustable and self.line.rate != POWER_ON_RATE:
-            self.switch(SwitchMode(RATES[POWER_ON_RATE]))
+            self.switch(SwitchMode(RATES[POWER_ON_RATE]), LEAVE_TRIES)
             self.line.rate = POWER_ON_RATE
 
 
