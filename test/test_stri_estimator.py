@@ -86,6 +86,14 @@ def test_a_shift_in_time_changes_nothing(drive, result):
     np.testing.assert_allclose(poses(run(drive[0], later)[1]), poses(result[1]), atol=1e-9)
 
 
+def test_a_drive_that_outgrows_its_room_goes_on_unchanged(drive, result, monkeypatch):
+    # knots every 0.1 s: room is made again every 2 s instead of every hour
+    monkeypatch.setattr('stri_mapping.stri.joint.ROOM', 20)
+    monkeypatch.setattr('stri_mapping.stri.joint.RECENT', 25)
+    assert drive[1][-1].stamp_ns - drive[1][0].stamp_ns > 6e9
+    np.testing.assert_array_equal(poses(run(*drive[:2])[1]), poses(result[1]))
+
+
 def test_another_mount_gives_the_same_motion(drive, result):
     # base_link half a metre further ahead, and the scanner's zero ray 40 degrees further left
     turn = np.deg2rad(40.0)

@@ -232,7 +232,8 @@ def part(
                     runs[k, 1] - runs[k, 0] > runs[longest, 1] - runs[longest, 0]):
                 longest = k
         first, last = min(i, longest), max(i, longest)
-        if first < last and not _cut(ranges, runs[first, 1] - 1, runs[last, 0]):
+        apart = pieces[runs[first, 0]] != pieces[runs[last, 0]]
+        if apart and not _cut(ranges, runs[first, 1] - 1, runs[last, 0]):
             labels[runs[i, 0]:runs[i, 1]] = surfaces
             parts[count, 0], parts[count, 1] = surfaces, number
             surfaces, count = surfaces + 1, count + 1

@@ -10,6 +10,8 @@ scans are merged to keyframes (`keyframe`), keyframes are paired over time and d
 
 from __future__ import annotations
 
+import mmap
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,7 @@ SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
 # m/s, m/s and rad/s between two motions that are not the same.
 PARTED = np.array([0.3, 0.3, 0.04])
 FADING = 0.7          # of acceleration from knot to knot where the path is extrapolated
+ROOM, RECENT = 32768, 1024      # knots until new room is made, and of those how many go along
 
 
 class JointPath:
@@ -64,7 +67,7 @@ class JointPath:
         """Start with no scan."""
         self.h = spacing
         self.config = config
-        self.knots = np.zeros((1024, 3))
+        self.knots = _zeros(ROOM)
         self.step = 0             # steps done: the spline is valid before step * h
         self.first = 0            # first knot still active
         self.settled = 0          # first knot that is not final
@@ -115,7 +118,10 @@ class JointPath:
         self.step += 1
         last = self.step + 3
         if last + 4 > len(self.knots):
-            self.knots = np.concatenate([self.knots, np.zeros_like(self.knots)])
+            recent = slice(max(last - RECENT, 0), last)
+            knots = _zeros(last + ROOM)
+            knots[recent] = self.knots[recent]
+            self.knots = knots
         self.knots[last - 1] = 2.0 * self.knots[last - 2] - self.knots[last - 3]
         if twist is not None:
             self._lay(twist)
@@ -263,3 +269,8 @@ class JointPath:
         if self.slow or not self.config.judge_surfaces:
             return np.ones(len(self.trust.weight))
         return self.trust.of_residuals()
+
+
+def _zeros(count: int) -> Array:
+    """Return zeros (count, 3); those that are never written take no memory, however many."""
+    return np.frombuffer(mmap.mmap(-1, 24 * count)).reshape(-1, 3)
