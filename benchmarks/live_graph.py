@@ -150,6 +150,7 @@ def main() -> int:
     args = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     folder = args.folder or Path(tempfile.mkdtemp(prefix='live-graph-'))
+    folder.mkdir(parents=True, exist_ok=True)
     bag = folder / 'bag'
     print(f'load before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} processors; {folder}')
     with (folder / 'log.txt').open('wb') as log:
