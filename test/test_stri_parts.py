@@ -11,12 +11,11 @@ from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs
 from stri_mapping.stri.estimate import of_base, speed_sigma
-from stri_mapping.stri.following import UNLABELLED
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.recovery import Recovery
-from stri_mapping.stri.segmentation import Segmenter
+from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust, WITNESS
@@ -73,8 +72,8 @@ def surfels_of(pose, walls, rng):
 def test_a_wall_at_grazing_incidence_is_one_surface_and_a_column_another():
     labels = Segmenter().segment(scan_at(0.0, np.zeros(3), WALL + [(-0.5, 6.0, 0.5, 6.0)]))
     seen = [int(v) for v in dict.fromkeys(labels.tolist()) if v != UNLABELLED]
-    # the wall goes on behind the column
-    assert len(seen) == 2 and labels[60] == labels[120]
+    # the wall before the column, the column, the wall behind it
+    assert len(seen) == 3
     column = labels == labels[90]
     assert 7 <= column.sum() <= 11              # 1 m at 6 m is 9.5 rays
 
@@ -236,6 +235,17 @@ def test_a_motion_that_is_merely_better_is_believed_when_three_looks_find_it():
     assert all(late.another_motion(each, path, 0.0, 0.3, True) is None for each in apart)
 
 
+def test_a_motion_the_other_way_is_believed_when_three_looks_find_it():
+    looks = [drive_past_leaves(begin, 4.0, 0.0) for begin in (0.0, 0.3, 0.6)]
+    believed = {}
+    for speed in (0.5, -0.5, -3.0):
+        recovery, path = Recovery(LEFT), np.array([speed, 0.0, 0.0])
+        believed[speed] = [recovery.another_motion(each, path, 0.0, 0.3, True) is not None
+                           for each in looks]
+    # as one that has begun to move it is believed at once
+    assert believed == {0.5: [True] * 3, -0.5: [True] * 3, -3.0: [False, False, True]}
+
+
 def test_looks_that_find_different_motions_are_not_believed():
     path, recovery = np.array([-1.0, 0.0, 0.0]), Recovery(LEFT)
     for begin, speed in ((0.0, 5.0), (0.3, 2.0), (0.6, 7.0)):
@@ -383,49 +393,6 @@ def test_surfaces_that_touch_for_a_moment_keep_their_numbers():
         seen.append((int(labels[50]), int(labels[130])))
     assert seen[0][0] != seen[0][1]
     assert all(pair == seen[0] for pair in seen)
-
-
-def test_who_walks_away_from_a_car_gets_a_number_and_the_car_keeps_its_own():
-    segmenter, trust = Segmenter(), Trust()
-    for k in range(80):
-        y = 5.95 - 0.02 * k                     # a metre and a half a second
-        labels = segmenter.segment(scan_at(0.01332 * k, np.zeros(3), [
-            (-2.0, 6.0, 2.0, 6.0), (-0.25, y, 0.25, y)]))
-        trust.add(segmenter.surfaces, segmenter.parts.tolist())
-        if k == 0:
-            car = int(labels[90])
-            assert (labels[labels >= 0] == car).all()      # so near that they are one
-            trust.weight[car] = 0.6
-    walker = int(labels[90])
-    assert walker != car
-    assert labels[80] == labels[100] == car
-    assert trust.weight[walker] == trust.weight[car] == 0.6
-
-
-@pytest.mark.parametrize('way', [-1.0, 1.0])
-def test_what_comes_out_behind_a_pole_in_line_with_a_face_is_more_of_it(way):
-    segmenter = Segmenter()
-    for k in range(120):
-        end = 0.05 * k - 3.0
-        bus = min(way * end, way * (end - 8.0)), max(way * end, way * (end - 8.0))
-        labels = segmenter.segment(scan_at(0.01332 * k, np.zeros(3), [
-            (bus[0], 4.4, bus[1], 4.4), (-0.3, 2.3, 0.3, 2.3)]))
-    pole, both = int(labels[90]), {int(labels[60]), int(labels[120])}
-    assert len(both) == 1 and both.isdisjoint({pole, UNLABELLED})
-
-
-def test_two_cars_in_line_are_two_where_one_sees_between_them():
-    cars = [(-4.0, 5.0, -1.0, 5.0), (1.0, 5.0, 4.0, 5.0)]
-    segmenter = Segmenter()
-    # hidden behind somebody at first, the gap opens as he goes on
-    for k in range(60):
-        x = 0.05 * k
-        labels = segmenter.segment(scan_at(0.01332 * k, np.zeros(3), [
-            *cars, (x - 0.55, 2.5, x + 0.55, 2.5), (-20.0, 12.0, 20.0, 12.0)]))
-        if k == 0:
-            assert labels[60] == labels[120] != labels[90]
-    left, between, right = labels[115], labels[95], labels[50]
-    assert len({int(left), int(between), int(right), UNLABELLED}) == 4
 
 
 def test_the_range_image_slides_and_the_log_thins(tmp_path):

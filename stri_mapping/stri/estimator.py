@@ -112,7 +112,7 @@ class StriEstimator:
                 return None
             self._start()
         else:
-            self._path.trust.add(self._segmenter.surfaces, self._segmenter.parts.tolist())
+            self._path.trust.add(self._segmenter.surfaces)
             self._take(scan, labels, time)
         return self._estimate(*self._pending[-1])
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.scan import Scan
-from stri_mapping.stri.following import Labels, UNLABELLED
+from stri_mapping.stri.segmentation import Labels, UNLABELLED
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

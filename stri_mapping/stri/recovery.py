@@ -32,6 +32,7 @@ PATIENCE = 0.7              # seconds between them at the most
 SAME, GAINED = 0.5, 4.0     # m/s, m/s^2 within which they have found the same
 SEEN = 0.25                 # share of rays on what stands, below which no motion can be told
 SEEN_WELL = 0.5             # below which it must be decisively better
+TURNED_BACK = 1.0           # m/s one way, then the other: hardly within a moment
 APART = 1.5                 # m/s to other speeds that must be clearly worse
 
 
@@ -91,11 +92,13 @@ class Recovery:
         own = min(searches, key=lambda each: abs(each.acceleration - gain))
         least = min(own.cost_of(now),
                     *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
-        inside = abs(twist[0] - now[0]) < 0.9 * reach
-        better = inside and cost < least - MARGIN
-        again = better and many and seen > SEEN_WELL and cost < BETTER * least and self._again(
-            profiles[-1][0], twist[0])
-        if not again and not (better and cost < DECISIVE * least):
+        if abs(twist[0] - now[0]) > 0.9 * reach or cost > least - MARGIN:
+            return None
+        turned = twist[0] * now[0] < 0.0 and min(abs(twist[0]), abs(now[0])) > TURNED_BACK
+        at_once = cost < DECISIVE * least and not turned
+        looked = many and seen > SEEN_WELL and cost < BETTER * least
+        again = looked and self._again(profiles[-1][0], twist[0])
+        if not (at_once or again):
             return None
         self._found = []
         return twist, search.acceleration

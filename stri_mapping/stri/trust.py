@@ -16,8 +16,6 @@ residuals counts, so that two cars beside the road do not shout down the steps o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,25 +61,11 @@ class Trust:
         self.agreement = 1.0
         self._known = 0
 
-    def add(self, surfaces: int, parts: Iterable[Sequence[int]] = ()) -> None:
-        """
-        Take the surfaces that have come into view.
-
-        Parameters
-        ----------
-        surfaces
-            Count of numbers given so far.
-        parts
-            New numbers of what was part of another surface, each with the number of that: it
-            is trusted as that is.
-
-        """
+    def add(self, surfaces: int) -> None:
+        """Take the surfaces that have come into view, by the count of numbers given so far."""
         new = np.arange(self._known, surfaces) % LABELS
         self.weight[new], self._moved[new] = NEW, False
         self._usual[new] = self._said[new] = 0.0
-        for part, whole in parts:
-            for of_surface in (self.weight, self._moved, self._usual):
-                of_surface[part % LABELS] = of_surface[whole % LABELS]
         self._known = surfaces
 
     def of_residuals(self) -> Array:
