@@ -40,8 +40,8 @@ class Recovery:
     """
     Looks for another motion while that of the path is in doubt.
 
-    What one look finds decisively better is believed at once; what is merely better, when
-    several looks in a row, each with its own scans, have found the same.
+    What one look finds decisively better is believed at once; what is merely better, or goes the
+    other way, when several looks in a row, each with its own scans, have found the same.
 
     Parameters
     ----------
@@ -94,11 +94,11 @@ class Recovery:
                     *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
         if abs(twist[0] - now[0]) > 0.9 * reach or cost > least - MARGIN:
             return None
+        decisive = cost < DECISIVE * least
+        better = decisive or (seen > SEEN_WELL and cost < BETTER * least)
+        again = many and better and self._again(profiles[-1][0], twist[0])
         turned = twist[0] * now[0] < 0.0 and min(abs(twist[0]), abs(now[0])) > TURNED_BACK
-        at_once = cost < DECISIVE * least and not turned
-        looked = many and seen > SEEN_WELL and cost < BETTER * least
-        again = looked and self._again(profiles[-1][0], twist[0])
-        if not (at_once or again):
+        if not (again or (decisive and not (many and turned))):
             return None
         self._found = []
         return twist, search.acceleration
