@@ -18,7 +18,7 @@ from stri_mapping.stri.recovery import Recovery
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import LABELS, MOVES, NEW, Trust, WITNESS
+from stri_mapping.stri.trust import LABELS, MOVES, NEW, STEADY, Trust, WAYWARD, WITNESS
 
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
 H = 0.1
@@ -154,6 +154,32 @@ def test_a_bare_wall_tells_nothing_along_itself():
                     np.zeros(2), hessian, gradient, np.zeros(LABELS + 1))
     across, along = hessian[0, 0], hessian[1, 1]
     assert along < 1e-3 * across
+
+
+@pytest.mark.parametrize('shift', [0.0, 0.03, -0.05])
+def test_a_surface_that_shifts_is_told_from_those_that_stand(shift):
+    rng = np.random.default_rng(5)
+    begins = np.array([-11.0, -5.0, 4.0, 10.0])
+
+    def seen(begins):
+        cars = [c for x in begins for c in (
+            (x, 5.0, x + 1.5, 5.0), (x, 5.0, x, 6.5), (x + 1.5, 5.0, x + 1.5, 6.5))]
+        return surfels_of(LEFT, WALL + cars, rng)
+
+    a, count_a, _ = seen(begins + [0.0, 0.0, shift, 0.0])
+    b, count_b, bins = seen(begins)
+    # the scanner's y axis points backwards; the wall belongs to no surface
+    ahead = -a[:count_a, keyframe.Y]
+    number = np.abs(begins[:, None] + 0.75 - ahead).argmin(axis=0)
+    a[:count_a, keyframe.S_LABEL] = np.where(a[:count_a, keyframe.X] < 7.5, number, -1.0)
+    testimony = np.zeros((2, LABELS))
+    pairs.testify(a, count_a, b, count_b, bins, np.zeros(3), 0.06, 1, 0.0,
+                  np.array([0.0, -1.0]), testimony)
+    assert testimony[0, -1] == 0.0
+    # a dozen rays and more of 1 cm on the side that faces the scanner: three times 3 mm
+    assert np.all(testimony[0, :4] > 3.0)
+    apart = testimony[1, :4] / testimony[0, :4]
+    np.testing.assert_allclose(apart, [0.0, 0.0, -shift, 0.0], atol=0.009)
 
 
 @pytest.mark.parametrize(('speed', 'turn'), [(8.0, 0.0), (-3.0, 0.0), (0.0, 0.0), (5.0, 0.35)])
@@ -315,9 +341,9 @@ def test_a_surface_earns_trust_and_loses_it_as_a_whole():
     trust, rays = Trust(), np.zeros(20)
 
     def judge(agree, through, certain):
-        trust.votes[:] = trust.through[:] = 0.0
+        trust.clear()
         trust.votes[0], trust.votes[-1], trust.through[0] = agree, 24.0, through
-        trust.update(rays, certain)
+        trust.update(rays, certain, certain)
 
     trust.add(1)
     assert trust.weight[0] == NEW
@@ -343,7 +369,7 @@ def test_a_surface_is_one_witness_however_many_rays_it_has(said):
     said.sort()
     trust, rays = Trust(), np.repeat([0.0, 1.0], 20)
     trust.votes[:2], trust.votes[-1] = said, 24.0
-    trust.update(rays, True)
+    trust.update(rays, True, True)
     weight = trust.of_residuals()[:2]
     spoken = weight * said
     assert weight[0] > weight[1] > 0.0                  # the louder, the less each ray counts
@@ -352,13 +378,40 @@ def test_a_surface_is_one_witness_however_many_rays_it_has(said):
     assert trust.of_residuals()[0] == 0.0
 
 
+def test_a_surface_that_is_apart_from_the_others_counts_for_less():
+    trust, rays = Trust(), np.repeat([0.0, 1.0], 20)
+
+    def hear(apart, clear, times):
+        for _ in range(times):
+            trust.clear()
+            trust.votes[:2], trust.votes[-1] = 50.0, 24.0
+            trust.testimony[:, 0] = 10.0, 10.0 * apart
+            trust.testimony[:, 1] = 10.0, 0.0
+            trust.update(rays, True, clear)
+        return float(trust.of_residuals()[0] / trust.of_residuals()[1])
+
+    assert hear(0.9 * STEADY, True, 20) == 1.0
+    assert hear(5.0 * STEADY, False, 20) == 1.0         # it may be the only one that is right
+    few, many = hear(-5.0 * STEADY, True, 1), hear(5.0 * STEADY, True, 40)
+    assert many < few < 1.0
+    assert many == pytest.approx((1.0 + 50.0 / WITNESS) / (1.0 + WAYWARD * 50.0 / WITNESS))
+    # it is believed again, but not at once
+    assert hear(0.0, True, 10) < 0.6
+    assert hear(0.0, True, 400) == 1.0
+    hear(5.0 * STEADY, True, 40)
+    trust.add(1)
+    assert trust.of_residuals()[0] < trust.of_residuals()[1]         # new, and else like any
+    trust.weight[0] = 1.0
+    assert trust.of_residuals()[0] == 1.0
+
+
 def test_known_surfaces_that_fall_silent_raise_doubt():
     trust, rays = Trust(), np.zeros(20)
     trust.add(1)
     for agree in [9.0] * 8 + [0.0] * 2:
-        trust.votes[:] = 0.0
+        trust.clear()
         trust.votes[0], trust.votes[-1] = agree, 24.0
-        trust.update(rays, True)
+        trust.update(rays, True, True)
     assert trust.agreement < 0.2
     trust.pardon()
     assert trust.agreement == 1.0

@@ -35,6 +35,7 @@ START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
+CLEAR, AGREED = 0.23, 0.7     # m/s, share of votes: a speed that tells who is wrong; usually 0.19
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
 SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
@@ -230,7 +231,7 @@ class JointPath:
     ) -> None:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         window = self.window
-        self.trust.votes[:] = self.trust.through[:] = 0.0
+        self.trust.clear()
         weights = self._weights()
         self._solve(first, last, scales, newest, iterations, weights)
         stale = window.stale(self.knots, first * self.h)
@@ -243,7 +244,9 @@ class JointPath:
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self._speed_sigma()
         window.seen_through(self._newest, self.knots, self.trust.through)
-        self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN)
+        window.testimony(self.error.value, self._forward, self.trust.testimony)
+        self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN,
+                          self.sigma < CLEAR and self.trust.agreement > AGREED)
 
     def _speed_sigma(self) -> float:
         here, rest, covariance = np.zeros(3), np.empty((3, 3)), np.empty((3, 3))

@@ -85,28 +85,14 @@ def linearise(
     n00 = n01 = n11 = 0.0
     asked = forward[0] ** 2 + forward[1] ** 2
     votes[-1] += asked
-    reach = max(TANGENT, TANGENT_PER_SCALE * scale)
-    widest = math.hypot(reach, 4.0 * scale)
     for r in range(first, count_a, stride):
-        label = int(a[r, S_LABEL]) % len(trust)
-        shift = pull * a[r, PULL]
-        ax, ay = a[r, X] - shift * a[r, NX], a[r, Y] - shift * a[r, NY]
-        px, py = cos * ax - sin * ay, sin * ax + cos * ay
-        x, y = px + z[0], py + z[1]
-        k = _partner(b, count_b, bins_b, x, y, widest)
+        k, px, py, e, w = _match(a[r], b, count_b, bins_b, z, cos, sin, scale, pull)
         if k < 0:
             continue
-        sees = (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2 + FLAT * asked
         nx, ny = b[k, NX], b[k, NY]
-        ex, ey = x - b[k, X], y - b[k, Y]
-        if abs(-ny * ex + nx * ey) > reach:
-            continue
-        e = nx * ex + ny * ey + pull * b[k, PULL]
-        w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
-        facing = (cos * a[r, NX] - sin * a[r, NY]) * nx + (sin * a[r, NX] + cos * a[r, NY]) * ny
-        if facing < SAME_NORMAL or abs(e) > 4.0 * scale:
-            w = 0.0
-        votes[label] += w * sees
+        label = int(a[r, S_LABEL]) % len(trust)
+        votes[label] += w * (
+            (forward[0] * a[r, NX] + forward[1] * a[r, NY]) ** 2 + FLAT * asked)
         w *= min(trust[label], trust[int(b[k, S_LABEL]) % len(trust)])
         if w == 0.0:
             continue
@@ -131,6 +117,66 @@ def linearise(
     gradient[0], gradient[1], gradient[2] = g0, g1, g2
     _clamp(hessian, gradient)
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def testify(
+    a: Array, count_a: int, b: Array, count_b: int, bins_b: NDArray[np.int32], z: Array,
+    scale: float, stride: int, pull: float, forward: Array, testimony: Array,
+) -> None:
+    """
+    Add up what each surface of a says of the motion along the way, apart from all others.
+
+    Parameters
+    ----------
+    a, count_a, b, count_b, bins_b, z, scale, stride, pull, forward
+        See `linearise`; z as it was fitted to all surfaces.
+    testimony
+        (2, labels) information of each surface along the way, in residuals, is added to the
+        first row, and that times the metres by which it would have a further ahead to the second.
+
+    """
+    cos, sin = math.cos(z[2]), math.sin(z[2])
+    for r in range(0, count_a, stride):
+        if a[r, S_LABEL] < 0.0:
+            continue
+        k, _, _, e, w = _match(a[r], b, count_b, bins_b, z, cos, sin, scale, pull)
+        if k < 0:
+            continue
+        label = int(a[r, S_LABEL]) % testimony.shape[1]
+        along = forward[0] * b[k, NX] + forward[1] * b[k, NY]
+        testimony[0, label] += w * along * along
+        testimony[1, label] -= w * along * e
+
+
+@numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
+def _match(
+    surfel: Array, b: Array, count: int, bins: NDArray[np.int32], z: Array, cos: float,
+    sin: float, scale: float, pull: float,
+) -> tuple[int, float, float, float, float]:
+    """
+    Return the surfel of b that a surfel meets, the offset turned into b, residual and weight.
+
+    The surfel is -1 where there is none near; the weight is 0 where it can't be the same face.
+    """
+    reach = max(TANGENT, TANGENT_PER_SCALE * scale)
+    shift = pull * surfel[PULL]
+    ax, ay = surfel[X] - shift * surfel[NX], surfel[Y] - shift * surfel[NY]
+    px, py = cos * ax - sin * ay, sin * ax + cos * ay
+    x, y = px + z[0], py + z[1]
+    k = _partner(b, count, bins, x, y, math.hypot(reach, 4.0 * scale))
+    e = w = 0.0
+    if k >= 0:
+        nx, ny = b[k, NX], b[k, NY]
+        ex, ey = x - b[k, X], y - b[k, Y]
+        e = nx * ex + ny * ey + pull * b[k, PULL]
+        facing = ((cos * surfel[NX] - sin * surfel[NY]) * nx
+                  + (sin * surfel[NX] + cos * surfel[NY]) * ny)
+        if abs(-ny * ex + nx * ey) > reach:
+            k = -1
+        elif facing >= SAME_NORMAL and abs(e) <= 4.0 * scale:
+            w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
+    return k, px, py, e, w
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]

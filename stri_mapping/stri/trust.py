@@ -11,7 +11,9 @@ misled by.  Where known surfaces fall silent, it is the motion that is in doubt.
 
 And a surface is one witness, however many rays it has: they err alike, on a bonnet that slopes as
 the body pitches, on a lorry that creeps.  The more one tells of the motion, the less each of its
-residuals counts, so that two cars beside the road do not shout down the steps of a facade.
+residuals counts, so that two cars beside the road do not shout down the steps of a facade.  And
+the less it counts, the further it has been apart from the others: on the slopes of bodywork the
+scan plane climbs as the vehicle pitches, which shows as motion; on what is upright it does not.
 """
 
 from __future__ import annotations
@@ -31,6 +33,9 @@ FORGET = 0.8           # of what a surface used to say, from fit to fit
 KNOWN = 0.5            # weight above which a surface is known to stand
 MOVES = 0.05           # weight below which a surface is known to move
 WITNESS = 100.0        # votes of a surface at which its residuals count half
+STEADY = 0.01          # metres from all others, beyond which the votes of a surface weigh more
+WAYWARD = 10.0         # times that they weigh at most
+WORSE, BETTER = 0.2, 0.02    # of its distance from all others that is learnt from fit to fit
 
 
 class Trust:
@@ -46,6 +51,8 @@ class Trust:
         the last counts the comparisons.
     through
         (LABELS,) count of rays that come from where earlier keyframes saw through.
+    testimony
+        (2, LABELS) of each surface about the motion along the way, see `pairs.testify`.
     agreement
         How much of what surfaces known to stand used to say for the motion they say now.
 
@@ -55,6 +62,8 @@ class Trust:
         """Trust all that is there at the start: nothing tells them apart."""
         self.weight = np.ones(LABELS)
         self.votes, self.through = np.zeros(LABELS + 1), np.zeros(LABELS)
+        self.testimony = np.zeros((2, LABELS))
+        self._wander = np.full(LABELS, STEADY ** 2)     # square metres from all others, lately
         self._moved = np.zeros(LABELS, np.bool_)
         self._usual = np.zeros(LABELS)           # agreeing weight of a surface's ray, lately
         self._said = np.zeros(LABELS)            # agreeing weight of a surface, lately
@@ -66,13 +75,20 @@ class Trust:
         new = np.arange(self._known, surfaces) % LABELS
         self.weight[new], self._moved[new] = NEW, False
         self._usual[new] = self._said[new] = 0.0
+        self._wander[new] = STEADY ** 2
         self._known = surfaces
 
     def of_residuals(self) -> Array:
         """Return the weight (LABELS,) of each surface's residuals: none of those that move."""
-        return np.where(self.weight < MOVES, 0.0, self.weight / (1.0 + self._said / WITNESS))
+        said = self._said * np.clip(self._wander / STEADY ** 2, 1.0, WAYWARD)
+        return np.where(self.weight < MOVES, 0.0, self.weight / (1.0 + said / WITNESS))
 
-    def update(self, labels: Array, certain: bool) -> None:
+    def clear(self) -> None:
+        """Forget votes and testimony, before they are heard again."""
+        self.votes[:] = self.through[:] = 0.0
+        self.testimony[:] = 0.0
+
+    def update(self, labels: Array, certain: bool, clear: bool) -> None:
         """
         Judge every surface by its votes since they were last cleared.
 
@@ -83,11 +99,16 @@ class Trust:
         certain
             Whether the vehicle's motion is known: if not, disagreement condemns nobody, nor does
             agreement clear what was seen to move.
+        clear
+            Whether enough is seen to tell who is apart from the others: else those that are right
+            may be the few.
 
         """
         agree = USUAL_ROUNDS * self.votes[:-1] / max(self.votes[-1], 1.0)
         rays = np.bincount(labels[labels >= 0].astype(np.int64) % LABELS, minlength=LABELS)
         self._compare(agree, rays)
+        if clear:
+            self._learn()
         self._said = np.maximum(agree, self._usual * rays)
         whole = agree + self.through
         heard = whole > ENOUGH
@@ -110,6 +131,13 @@ class Trust:
         self._usual *= FORGET
         seen = rays > 0
         self._usual[seen] = np.maximum(self._usual[seen], agree[seen] / rays[seen])
+
+    def _learn(self) -> None:
+        """Learn how far each surface is from what all of them say."""
+        heard = np.flatnonzero(self.testimony[0] > ENOUGH)
+        information, said = self.testimony[:, heard]
+        change = (said / information) ** 2 - self._wander[heard]
+        self._wander[heard] += np.where(change > 0.0, WORSE, BETTER) * change
 
     def pardon(self) -> None:
         """Trust all again but those known to move."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri import keyframe
-from stri_mapping.stri.pairs import relative
+from stri_mapping.stri.pairs import relative, testify
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
 
@@ -21,6 +21,8 @@ Mask = NDArray[np.bool_]
 SLOTS, POINTS = 384, 2048     # keyframes kept at most, and surfels of each
 RAYS_PER_STRIDE = 1000        # rays of a keyframe of which every next one becomes a surfel
 SEEN_THROUGH = (2, 4, 7)                # keyframes back
+TESTIFY = (4, 7)                        # keyframes back
+APART = 0.06                  # metres, Geman-McClure scale of what surfaces say apart
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
 KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
 KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
@@ -181,6 +183,16 @@ class Window:
                 relative(f.pose[slot], f.pose[newest], z)
                 count_left(f.surfels[slot], f.counts[slot], SURFELS_ASKED, z, f.sight[newest],
                            votes)
+
+    def testimony(self, pull: float, forward: Array, testimony: Array) -> None:
+        """Add what each surface in the newest keyframe says apart, see `pairs.testify`."""
+        f, z = self.frames, np.empty(3)
+        for lag in TESTIFY:
+            if lag < len(self.order):
+                a, b = self.order[-1], self.order[-1 - lag]
+                relative(f.pose[a], f.pose[b], z)
+                testify(f.surfels[a], f.counts[a], f.surfels[b], f.counts[b], f.bins[b], z,
+                        APART, SURFELS_ASKED, pull, forward, testimony)
 
     def stale(self, knots: Array, begin: float) -> list[int]:
         """Return the keyframes since a time that were built with another motion than now."""
