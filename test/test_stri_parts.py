@@ -341,7 +341,7 @@ def test_a_surface_earns_trust_and_loses_it_as_a_whole():
     trust, rays = Trust(), np.zeros(20)
 
     def judge(agree, through, certain):
-        trust.clear()
+        trust.reset()
         trust.votes[0], trust.votes[-1], trust.through[0] = agree, 24.0, through
         trust.update(rays, certain, certain)
 
@@ -383,7 +383,7 @@ def test_a_surface_that_is_apart_from_the_others_counts_for_less():
 
     def hear(apart, clear, times):
         for _ in range(times):
-            trust.clear()
+            trust.reset()
             trust.votes[:2], trust.votes[-1] = 50.0, 24.0
             trust.testimony[:, 0] = 10.0, 10.0 * apart
             trust.testimony[:, 1] = 10.0, 0.0
@@ -409,7 +409,7 @@ def test_known_surfaces_that_fall_silent_raise_doubt():
     trust, rays = Trust(), np.zeros(20)
     trust.add(1)
     for agree in [9.0] * 8 + [0.0] * 2:
-        trust.clear()
+        trust.reset()
         trust.votes[0], trust.votes[-1] = agree, 24.0
         trust.update(rays, True, True)
     assert trust.agreement < 0.2

@@ -231,7 +231,7 @@ class JointPath:
     ) -> None:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         window = self.window
-        self.trust.clear()
+        self.trust.reset()
         weights = self._weights()
         self._solve(first, last, scales, newest, iterations, weights)
         stale = window.stale(self.knots, first * self.h)

@@ -83,8 +83,8 @@ class Trust:
         said = self._said * np.clip(self._wander / STEADY ** 2, 1.0, WAYWARD)
         return np.where(self.weight < MOVES, 0.0, self.weight / (1.0 + said / WITNESS))
 
-    def clear(self) -> None:
-        """Forget votes and testimony, before they are heard again."""
+    def reset(self) -> None:
+        """Forget votes and testimony, before a fit in which they are heard anew."""
         self.votes[:] = self.through[:] = 0.0
         self.testimony[:] = 0.0
 
