@@ -279,6 +279,24 @@ def test_looks_that_find_different_motions_are_not_believed():
         assert recovery.another_motion(look, path, 0.0, 0.3, True) is None
 
 
+def test_a_motion_that_was_lost_is_looked_for_until_it_is_found_where_the_path_has_it():
+    path, recovery = np.array([-1.0, 0.0, 0.0]), Recovery(LEFT)
+    assert recovery.confirmed
+    blind = [(t, angles, np.full_like(ranges, np.nan))
+             for t, angles, ranges in drive_past_leaves(0.0, 5.0, 0.0)]
+    assert recovery.another_motion(blind, path, 0.0, 2.0, False) is None
+    assert not recovery.confirmed
+    # what has come into view agrees with the path, which seems sure of itself again
+    for begin in (0.3, 0.6, 0.9):       # the other way is believed when three looks have found it
+        found = recovery.another_motion(
+            drive_past_leaves(begin, 5.0, 0.0), path, 0.0, 0.2, False)
+        assert not recovery.confirmed
+    assert found is not None and found[0][0] == pytest.approx(5.0, abs=0.1 / 0.45)
+    assert recovery.another_motion(
+        drive_past_leaves(1.2, 5.0, 0.0), found[0], 0.0, 0.2, False) is None
+    assert recovery.confirmed
+
+
 def test_without_anything_to_see_the_proposal_is_to_stand():
     search = SlopeSearch(LEFT)
     for k in range(50):

@@ -239,7 +239,8 @@ class StriEstimator:
         """Return twist and acceleration of a motion that is to replace the path's, if any."""
         assert self._path is not None
         sigma, doubted = self._path.sigma, self._path.trust.agreement < DOUBT
-        if sigma < self.config.lost_sigma and not doubted:
+        lost = sigma > self.config.lost_sigma or doubted
+        if not lost and self._recovery.confirmed:
             return None
         end, begin = self._pending[-1][1], self._profiles[0][0]
         now, before = (self._estimate(0, time).twist for time in (end, begin))

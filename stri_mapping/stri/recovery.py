@@ -48,11 +48,20 @@ class Recovery:
     mount
         (3,) planar pose of the scanner in base_link.
 
+    Attributes
+    ----------
+    confirmed
+        Whether the path's motion has not been in doubt since a look last found it where it is.
+        Until then looks go on, as far around it as it was in doubt: surfaces that came into view
+        with a wrong motion may agree with it.
+
     """
 
     def __init__(self, mount: Array) -> None:
         """Begin with nothing found."""
+        self.confirmed = True
         self._mount = mount
+        self._sigma = 0.0           # the largest, of the path's speed, since it was confirmed
         self._found: list[tuple[float, float]] = []     # seconds and speed, of looks in a row
 
     def another_motion(
@@ -70,7 +79,8 @@ class Recovery:
         gain
             Acceleration in m/s^2 by which it has come to its speed.
         sigma
-            Standard deviation of its speed in m/s: speeds within six are tried.
+            Standard deviation of its speed in m/s: speeds within six of the largest since the
+            motion was confirmed are tried.
         doubted
             Whether known surfaces speak against it, whatever its deviation.
 
@@ -80,18 +90,23 @@ class Recovery:
             Twist (3,) at the newest scan, and acceleration in m/s^2; None where there is none.
 
         """
+        self._sigma = max(sigma, 0.0 if self.confirmed else self._sigma)
+        self.confirmed = False
         seen = np.mean([np.isfinite(ranges).mean() for _, _, ranges in profiles])
         if seen < SEEN:
             return None
         many = len(profiles) >= MANY
-        reach = min(max(6.0 * sigma, (DOUBTED if many else SLOWLY_DOUBTED) * doubted), FARTHEST)
+        least_reach = (DOUBTED if many else SLOWLY_DOUBTED) * doubted
+        reach = min(max(6.0 * self._sigma, least_reach), FARTHEST)
         rates = ACCELERATIONS if many else ACCELERATIONS[:1]
         searches = [_search_around(profiles, self._mount, now, reach, a) for a in rates]
         search = min(searches, key=SlopeSearch.coarse_cost)
         twist, cost = search.best()
         own = min(searches, key=lambda each: abs(each.acceleration - gain))
-        least = min(own.cost_of(now),
-                    *(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART)))
+        apart = min(search.cost_of(twist + [d, 0.0, 0.0]) for d in (-APART, APART))
+        least = min(own.cost_of(now), apart)
+        self.confirmed = bool(abs(twist[0] - now[0]) < SAME and seen > SEEN_WELL
+                              and cost < BETTER * apart)
         if abs(twist[0] - now[0]) > 0.9 * reach or cost > least - MARGIN:
             return None
         decisive = cost < DECISIVE * least
