@@ -193,3 +193,18 @@ def test_a_slow_scanner_with_late_stamps_and_a_pause_keeps_the_track(drive):
     # in the pause the speed may change by a metre per second; stamps are wrong by up to 60 ms
     # at up to 8 m/s
     assert np.hypot(*(path - truth)[-1, :2]) < 1.0 + 0.06 * 8.0
+
+
+def test_scans_that_did_not_come_speak_neither_for_nor_against_the_motion(drive):
+    origin = drive[1][0].stamp_ns
+    estimator = StriEstimator(drive[0])
+    agreement = []
+    for scan in drive[1]:
+        if not 3e9 < scan.stamp_ns - origin < 3.5e9:        # five knot intervals
+            estimator.add(scan)
+            if estimator._path is not None:
+                agreement.append((scan.stamp_ns - origin, estimator._path.trust.agreement))
+    before = next(a for t, a in reversed(agreement) if t <= 3e9)
+    after = next(a for t, a in agreement if t >= 3.5e9)
+    # the first scan after them makes the one interval final that has some of before
+    assert before > 0.9 and after > 0.9

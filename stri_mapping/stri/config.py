@@ -28,8 +28,8 @@ class JointConfig:
     span
         Seconds of scans merged in a keyframe besides those of its own knot interval.
     jerk, angular_jerk, acceleration, angular_acceleration
-        Standard deviations of the motion's third and second derivatives, SI units; that of the
-        angular acceleration is 2 rad/s^2 where scans are rare.
+        Standard deviations of the motion's third and second derivatives, SI units; those of
+        the accelerations are 2 m/s^2 and 2 rad/s^2 where scans are rare.
     turn
         Standard deviation of the turn rate, rad/s: where nothing tells it, the way is straight.
     slip, slip_arm

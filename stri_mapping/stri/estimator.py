@@ -133,8 +133,9 @@ class StriEstimator:
         self._release(np.inf)
 
     def _spacing(self) -> float:
-        times = [time for _, _, time in self._starting]
-        period = (times[-1] - times[0]) / max(len(times) - 1, 1)
+        # the longer of two: some stamps wait for each other, others have not begun to be late
+        between = np.diff([time for _, _, time in self._starting])
+        period = max(float(between.mean()), float(np.median(between)))
         return max(self.config.knot_spacing, period)
 
     def _ready(self) -> bool:
@@ -195,8 +196,10 @@ class StriEstimator:
         assert self._path is not None
         rays, start, end = self._prepare(scan, labels, time)
         advances = end > (self._path.step + 1) * self._path.h
+        change = self._change() if advances else None
         while end > (self._path.step + 1) * self._path.h:
-            self._path.advance(self._change())
+            self._path.advance(change)
+            change = None           # no scan is in a second interval
             self._looks |= self._path.step % TAKE_UP_EVERY == 0
         if not advances or self._advanced:      # a slow scanner advances with every scan
             self._take_up()

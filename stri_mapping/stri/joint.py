@@ -38,7 +38,8 @@ CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 CLEAR, AGREED = 0.23, 0.7     # m/s, share of votes: a speed that tells who is wrong; usually 0.19
 # Residuals of one surface repeat the same error in every pair; this many count as one.
 DILUTION, SLOW_DILUTION = 60.0, 20.0
-SLOW_ANGULAR_ACCELERATION = 2.0       # rad/s^2: robots turn on the spot
+# m/s^2, rad/s^2: robots turn on the spot, but do not jump
+SLOW_ACCELERATION, SLOW_ANGULAR_ACCELERATION = 2.0, 2.0
 # m/s, m/s and rad/s between two motions that are not the same.
 PARTED = np.array([0.3, 0.3, 0.04])
 FADING = 0.7          # of acceleration from knot to knot where the path is extrapolated
@@ -86,9 +87,10 @@ class JointPath:
         self._newest = np.empty((0, 5))         # rays of the newest keyframe's own interval
         h, c = spacing, config
         self._jerk = np.array([c.jerk, c.jerk, c.angular_jerk]) ** -2.0 * h ** -6
-        angular = SLOW_ANGULAR_ACCELERATION if self.slow else c.angular_acceleration
-        self._acceleration = np.array(
-            [c.acceleration, c.acceleration, angular]) ** -2.0 * h ** -4
+        linear, angular = c.acceleration, c.angular_acceleration
+        if self.slow:
+            linear, angular = SLOW_ACCELERATION, SLOW_ANGULAR_ACCELERATION
+        self._acceleration = np.array([linear, linear, angular]) ** -2.0 * h ** -4
         self._straight = np.array([0.0, 0.0, (c.turn * h) ** -2.0])
 
     def add(self, start: float, end: float, rays: Array) -> None:
@@ -243,6 +245,8 @@ class JointPath:
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self._speed_sigma()
+        if newest == np.inf:        # no scan: nobody has been asked
+            return
         window.seen_through(self._newest, self.knots, self.trust.through)
         window.testimony(self.error.value, self._forward, self.trust.testimony)
         self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN,
