@@ -14,6 +14,7 @@ from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
+from stri_mapping.stri.rays import prepare_rays
 from stri_mapping.stri.recovery import Recovery
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
@@ -60,8 +61,8 @@ def surfels_of(pose, walls, rng):
     n = 0
     for _ in range(15):
         ranges = look(pose, walls, 0.01, rng)
-        n += keyframe.prepare(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0,
-                              rays[n:])
+        n += prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0,
+                          rays[n:])
     surfels = np.empty((2048, keyframe.SURFEL))
     bins = np.empty(keyframe.BINS + 1, np.int32)
     count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins,
@@ -123,6 +124,23 @@ def test_surfels_lie_on_the_wall_with_its_normal():
     assert np.abs(found[near, keyframe.X] - 8.0).max() < 0.012
     assert np.all(found[near, keyframe.NX] < -0.99)
     assert np.all(np.diff(found[:, keyframe.S_BEARING]) >= 0.0)
+
+
+def test_a_face_that_one_ray_meets_is_taken_to_face_the_scanner():
+    # a post a hand wide, 9 m ahead, in a corridor that ends 5 m behind it
+    ranges = look(np.zeros(3), [(0.0, 2.0, 14.0, 2.0), (0.0, -2.0, 14.0, -2.0),
+                                (14.0, -2.0, 14.0, 2.0), (9.0, 0.1, 9.0, 0.25)])
+    rays = np.empty((181, 5))
+    n = prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays)
+    surfels = np.empty((181, keyframe.SURFEL))
+    count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 1, surfels,
+                           np.empty(keyframe.BINS + 1, np.int32), np.empty(keyframe.SIGHTS))
+    post = surfels[:count][np.abs(surfels[:count, keyframe.X] - 9.0) < 0.01]
+    post = post[np.abs(post[:, keyframe.Y]) < 1.0]
+    assert len(post) == 1
+    np.testing.assert_allclose(post[0, :2], 9.0 * np.array([1.0, np.tan(ANGLES[91])]), atol=1e-9)
+    # which way it faces is not known
+    assert post[0, keyframe.NX] < -0.99 and post[0, keyframe.NORMAL_VAR] > 0.05
 
 
 @pytest.mark.parametrize('shift', [(0.02, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.002)])
@@ -321,8 +339,8 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
         rays = np.empty((15 * 181, 5))
         n = 0
         for _ in range(15):
-            n += keyframe.prepare(ranges + 0.01 * rng.standard_normal(181), ANGLES,
-                                  np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
+            n += prepare_rays(ranges + 0.01 * rng.standard_normal(181), ANGLES,
+                              np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
         surfels = np.empty((2048, keyframe.SURFEL))
         count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
                                surfels, np.empty(keyframe.BINS + 1, np.int32),

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
-from stri_mapping.stri import keyframe
 from stri_mapping.stri.beat import Beat
 from stri_mapping.stri.config import EstimatorConfig
 from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
+from stri_mapping.stri.rays import prepare_rays
 from stri_mapping.stri.recovery import changed_twist, Recovery
 from stri_mapping.stri.segmentation import Labels, Segmenter
 from stri_mapping.stri.trust import LABELS, MOVES
@@ -188,8 +188,7 @@ class StriEstimator:
         rays = np.empty((len(scan), 5))
         ranges = np.where(scan.valid, scan.ranges, np.inf)
         angles = self._handed * scan.angles
-        n = keyframe.prepare(ranges, angles, scan.times, labels, start, self.config.joint.far,
-                             rays)
+        n = prepare_rays(ranges, angles, scan.times, labels, start, self.config.joint.far, rays)
         return rays[:n], start, start + (float(scan.times.max()) if len(scan) else 0.0)
 
     def _take(self, scan: Scan, labels: Labels, time: float) -> None:

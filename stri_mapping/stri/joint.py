@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.stri.config import JointConfig
 from stri_mapping.stri.estimate import of_base, speed_sigma
-from stri_mapping.stri.keyframe import LABEL
 from stri_mapping.stri.range_error import RangeError
+from stri_mapping.stri.rays import LABEL
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import Trust

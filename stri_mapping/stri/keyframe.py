@@ -18,92 +18,25 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.stri.rays import BEARING, LABEL, LONE, RANGE, ray_sigma, SIGHT_ONLY, TIME
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# columns of a prepared ray
-RANGE, BEARING, TIME, LONE, LABEL = range(5)
 # columns of a surfel, in the frame of the scanner at the keyframe's time
 X, Y, NX, NY, NORMAL_VAR, S_BEARING, S_LABEL, PULL = range(8)
 SURFEL = 8
 
-NOISE = 0.012              # metres, one ray, at zero range; grows by a third every 13 m
-NOISE_RANGE = 40.0
-GRAZING = 0.2              # metres of range from ray to ray: the footprint's near side is seen
-GRAZING_FITTED = 0.3
-STEP, STEP_PER_RANGE = 0.12, 0.01
+GRAZING_FITTED = 0.3       # metres along the line from ray to ray, beyond which it is not used
 SPARSE = 500               # rays of a keyframe below which the widest window and few points serve
-WINDOWS = (1.6, 0.8, 0.4, 0.2, 0.1)
-MIN_POINTS, MIN_POINTS_SPARSE = 6, 3
+WINDOWS = (1.6, 0.8, 0.4, 0.2, 0.1)     # metres to either side
+MIN_POINTS, MIN_POINTS_SPARSE = 6, 2
+ALONE_VARIANCE = 0.1       # rad^2, of the normal where a single ray met a face
 MIN_VARIANCE = 0.03 ** 2
 HEAD_ON = 0.9
-SIGHT_ONLY = 2.0
 BINS = 720
 SIGHTS = 240              # lines of sight over the full circle
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def prepare(
-    ranges: Array, angles: Array, times: Array, labels: NDArray[np.int32], start: float,
-    far: float, out: Array,
-) -> int:
-    """
-    Pick a scan's usable rays; the motion is not needed for this.
-
-    A ray at grazing incidence reports the near side of its footprint, and the last ray before
-    a jump a mixture; such a ray serves as a line of sight alone if it is in line with its
-    neighbours, else it is kept as a lone one, which may be a column's far side but may not bend
-    another ray's line.
-
-    Parameters
-    ----------
-    ranges, angles, times
-        (n,) metres (NaN or inf where not valid), radians, seconds since the scan's stamp.
-    labels
-        (n,) surface numbers.
-    start
-        Stamp of the scan in seconds.
-    far
-        Ranges beyond are not used, metres.
-    out
-        (n, 5) written with range, bearing, time, lone (0, 1 or `SIGHT_ONLY`), label.
-
-    Returns
-    -------
-    int
-        Number of rays written.
-
-    """
-    n, count = len(ranges), 0
-    cos2 = 2.0 * math.cos(angles[1] - angles[0]) if n > 1 else 2.0
-    for j in range(n):
-        r = ranges[j]
-        if not (0.3 < r < far):
-            continue
-        before = abs(r - ranges[j - 1]) if j > 0 and math.isfinite(ranges[j - 1]) else 1e9
-        after = abs(r - ranges[j + 1]) if j + 1 < n and math.isfinite(ranges[j + 1]) else 1e9
-        sigma = NOISE * (1.0 + r / NOISE_RANGE)
-        bend = 1e9
-        if before < 1e9 and after < 1e9:
-            bend = abs(1.0 / ranges[j - 1] - cos2 / r + 1.0 / ranges[j + 1]) * r * r
-        lone = 0.0
-        if min(before, after) > GRAZING:
-            if bend > 1e8 or bend <= 7.2 * sigma + 0.08 * max(before, after):
-                lone = SIGHT_ONLY
-            else:
-                lone = 1.0
-        elif bend > 7.2 * sigma:
-            step = STEP + STEP_PER_RANGE * r
-            if ((1e9 > before > step and ranges[j - 1] > r)
-                    or (1e9 > after > step and ranges[j + 1] > r)):
-                lone = 1.0
-        out[count, RANGE], out[count, BEARING] = r, angles[j]
-        out[count, TIME], out[count, LONE] = start + times[j], lone
-        out[count, LABEL] = labels[j]
-        count += 1
-    return count
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -240,10 +173,15 @@ def _fit(
     i: int, xy: Array, lone: Array, sums: Array, low: NDArray[np.int32],
     high: NDArray[np.int32], sparse: bool, angle_step: float, surfel: Array,
 ) -> bool:
-    """Write the surfel of point i from the widest window that holds one straight line."""
+    """Write the surfel of point i: the widest window's straight line, or a face met once."""
     x, y = xy[i, 0], xy[i, 1]
     r = math.hypot(x, y)
-    sigma = NOISE * (1.0 + r / NOISE_RANGE)
+    sigma = ray_sigma(r)
+    if sparse and high[0, i] - low[0, i] == 1:
+        # far down a corridor this is all that tells the way; a face is seen from the front
+        surfel[X], surfel[Y], surfel[NX], surfel[NY] = x, y, -x / r, -y / r
+        surfel[NORMAL_VAR], surfel[PULL] = ALONE_VARIANCE, 0.0
+        return True
     kind = 0 if lone[i] == 1.0 else 1
     for w in range(0 if sparse else 1, low.shape[0]):
         a, b = sums[kind, low[w, i]], sums[kind, high[w, i]]

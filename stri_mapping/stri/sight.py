@@ -15,7 +15,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import BEARING, LABEL, RANGE, S_LABEL, sector, TIME, X, Y
+from stri_mapping.stri.keyframe import S_LABEL, sector, X, Y
+from stri_mapping.stri.rays import BEARING, LABEL, RANGE, TIME
 from stri_mapping.stri.spline import pose_at
 
 Array = NDArray[np.float64]
