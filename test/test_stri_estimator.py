@@ -12,6 +12,7 @@ from stri_mapping import geometry
 from stri_mapping.bag_io import Bag, select_scanners
 from stri_mapping.scan import Scan
 from stri_mapping.stri.estimator import StriEstimator
+from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.recovery import ACCELERATIONS
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle
 
@@ -162,11 +163,35 @@ def test_a_motion_taken_up_again_joins_the_path_without_a_step(drive, lost_knots
     away = np.array([path.velocity(t) for t in times]) - velocities
     assert np.hypot(*away[:, :2].T).max() > 0.9
     unit = own / np.hypot(*own)
-    path.restart(np.array([*own, 0.0]), np.array([*(acceleration * unit), 0.0]))
+    for _ in path.restart(np.array([*own, 0.0]), np.array([*(acceleration * unit), 0.0])):
+        pass
     again = np.array([path.velocity(t) for t in times]) - velocities
     # two standard deviations of what two keyframes 0.2 s apart, each placed to 5 mm, tell
     assert np.hypot(*again[:, :2].T).max() < 2.0 * np.sqrt(2.0) * 0.005 / 0.2
     assert np.abs(again[:, 2]).max() < np.deg2rad(2.0)
+
+
+def test_no_scan_waits_for_more_than_a_part_of_taking_up_a_motion(drive, monkeypatch):
+    begun, whole = [], JointPath.restart
+
+    def counted(path, twist, acceleration):
+        for part in whole(path, twist, acceleration):
+            begun.append(len(live))
+            yield part
+
+    monkeypatch.setattr(JointPath, 'restart', counted)
+    estimator, live = StriEstimator(drive[0]), []
+    for scan in drive[1]:
+        live.append(estimator.add(scan))
+        if len(live) >= 300 and estimator._advanced and not begun and not estimator._found:
+            estimator._found = live[-1].twist, 0.0      # what a look would find here
+    estimator.finish()
+    assert len(begun) == 5 and len(set(begun)) == 5
+    # it is the motion that the path had: nothing has changed but by its noise
+    before, after = live[begun[0] - 1], live[begun[-1] + 1]
+    seconds = (after.stamp_ns - before.stamp_ns) * 1e-9
+    step = geometry.compose(geometry.inverse(before.pose), after.pose)
+    assert np.abs(step - before.twist * seconds)[:2].max() < 0.02
 
 
 def test_too_few_scans_give_nothing(drive):

@@ -10,6 +10,7 @@ poses again when they are final, at most two seconds later.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,7 @@ class StriEstimator:
         self._advanced = False                   # whether the scan before extended the path
         self._looks = False                      # whether a look for the motion is due
         self._found: tuple[Array, float] | None = None      # another motion, to be taken up
+        self._restart: Iterator[bool] = iter(())            # what is left of taking it up
         self._profiles: deque[Profile] = deque()
         self._recovery = Recovery(self._mount)
         self._origin_ns: int | None = None
@@ -127,6 +129,7 @@ class StriEstimator:
             self._start()
         if self._path is None:
             return
+        self._finish_restart()
         path = self._path
         while self._pending and (path.step - 1) * path.h <= self._pending[-1][1]:
             path.advance()
@@ -195,7 +198,10 @@ class StriEstimator:
         assert self._path is not None
         rays, start, end = self._prepare(scan, labels, time)
         advances = end > (self._path.step + 1) * self._path.h
-        change = self._change() if advances else None
+        change = None
+        if advances:
+            self._finish_restart()
+            change = self._change()
         while end > (self._path.step + 1) * self._path.h:
             self._path.advance(change)
             change = None           # no scan is in a second interval
@@ -224,18 +230,28 @@ class StriEstimator:
         """
         When the motion is not known, look whether the newest scans tell another one.
 
-        The search, and the fit of what it has found, go with different scans, so that none has
-        to wait for both.
+        The search, and the parts of the fit of what it has found, go with different scans, so
+        that none has to wait for long.
         """
         assert self._path is not None
+        if next(self._restart, False):
+            return
         if self._found is not None:
             twist, acceleration = self._found
-            self._path.restart(self._of_scanner(twist),
-                               self._of_scanner(np.array([acceleration, 0.0, 0.0])))
+            self._restart = self._path.restart(
+                self._of_scanner(twist), self._of_scanner(np.array([acceleration, 0.0, 0.0])))
             self._found = None
+            if self._path.slow:                 # there is time for all of it
+                self._finish_restart()
+            else:
+                next(self._restart)
         elif self._looks:
             self._looks = False
             self._found = self._another_motion()
+
+    def _finish_restart(self) -> None:
+        for _ in self._restart:
+            pass
 
     def _another_motion(self) -> tuple[Array, float] | None:
         """Return twist and acceleration of a motion that is to replace the path's, if any."""

@@ -10,6 +10,8 @@ scans are merged to keyframes (`keyframe`), keyframes are paired over time and d
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
 import mmap
 
 import numpy as np
@@ -33,6 +35,7 @@ Array = NDArray[np.float64]
 SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
+PARTS = (0, 3, 6, START_ITERATIONS)     # of the fit of a motion taken up: a scan's time each
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 CLEAR, AGREED = 0.23, 0.7     # m/s, share of votes: a speed that tells who is wrong; usually 0.19
@@ -143,9 +146,9 @@ class JointPath:
         knots[last - 1] = knots[last - 3] + 2.0 * self.h * velocity
         knots[last - 2] = 0.25 * (6.0 * end - knots[last - 3] - knots[last - 1])
 
-    def restart(self, twist: Array, acceleration: Array) -> None:
+    def restart(self, twist: Array, acceleration: Array) -> Iterator[bool]:
         """
-        Take up the motion again after losing it.
+        Take up the motion again after losing it, in parts that take no scan much time.
 
         The path is laid anew from where it had that motion; if it had it at no time that is not
         final, from there, with no tie to the motion before.  Then all that is not final is
@@ -155,6 +158,11 @@ class JointPath:
         ----------
         twist, acceleration
             (3,) of the scanner in its own frame at the newest knot, and its change in a second.
+
+        Yields
+        ------
+        bool
+            True after each part.  All are to be done before the path is extended.
 
         """
         begin = self.settled - 1
@@ -170,7 +178,14 @@ class JointPath:
             self.pose(origin * self.h), geometry.exp(way))
         self.trust.pardon()
         newest = self.window.rebuild(begin * self.h, self.knots)
-        self._fit(begin + 2, self.step + 3, newest, START_SCALES, START_ITERATIONS)
+        yield True
+        knots = begin + 2, self.step + 3
+        weights = self._weights()
+        for begun, end in pairwise(PARTS):
+            self._solve(*knots, START_SCALES, newest, begun, end, weights)
+            yield True
+        self._refit(*knots, newest, START_SCALES, START_ITERATIONS, weights)
+        yield True
 
     def _parting(self, twist: Array, acceleration: Array) -> int | None:
         """Return the newest step, not final, at which the path had the motion to be taken up."""
@@ -232,16 +247,22 @@ class JointPath:
         self, first: int, last: int, newest: float, scales: Array, iterations: int,
     ) -> None:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
-        window = self.window
-        self.trust.reset()
         weights = self._weights()
-        self._solve(first, last, scales, newest, iterations, weights)
+        self._solve(first, last, scales, newest, 0, iterations, weights)
+        self._refit(first, last, newest, scales, iterations, weights)
+
+    def _refit(
+        self, first: int, last: int, newest: float, scales: Array, iterations: int,
+        weights: Array,
+    ) -> None:
+        """Do what follows the first solution of a fit."""
+        window = self.window
         stale = window.stale(self.knots, first * self.h)
         if stale:
             for slot in stale:
                 window.build(slot, self.knots)
             window.pairs.renew(stale)
-            self._solve(first, last, scales[-2:], newest, iterations, weights)
+            self._solve(first, last, scales[-2:], newest, 0, iterations, weights)
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self._speed_sigma()
@@ -259,7 +280,7 @@ class JointPath:
         return speed_sigma(covariance)
 
     def _solve(
-        self, first: int, last: int, scales: Array, newest: float, iterations: int,
+        self, first: int, last: int, scales: Array, newest: float, begun: int, iterations: int,
         weights: Array,
     ) -> None:
         p, f = self.window.pairs, self.window.frames
@@ -267,12 +288,13 @@ class JointPath:
         solve(
             self.knots, self.h, first, last, self._start, p.ends[:n], p.z[:n], p.hessian[:n],
             p.gradient[:n], p.passes[:n], f.time, f.pose, f.surfels, f.counts, f.bins, scales,
-            newest, iterations, self._jerk, self._acceleration, self._straight, self._slip,
+            newest, begun, iterations, self._jerk, self._acceleration, self._straight, self._slip,
             self.error.value, weights, self._forward, self.trust.votes,
             SLOW_DILUTION if self.slow else DILUTION)
 
     def _weights(self) -> Array:
-        """Return the weight of each surface by number, one of scans too rare to follow any."""
+        """Begin a vote; return the weights of surfaces, one of scans too rare to follow any."""
+        self.trust.reset()
         if self.slow or not self.config.judge_surfaces:
             return np.ones(len(self.trust.weight))
         return self.trust.of_residuals()

@@ -33,9 +33,9 @@ VOTES = 1.2        # seconds between keyframes whose comparison tells what moves
 def solve(
     knots: Array, h: float, first: int, last: int, start: int, ends: Index, z: Array,
     hessian: Array, gradient: Array, passes: Index, time: Array, pose: Array, surfels: Array,
-    counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, iterations: int,
-    jerk: Array, acceleration: Array, straight: Array, slip: Array, pull: float,
-    trust: Array, forward: Array, votes: Array, dilution: float,
+    counts: Index, bins: NDArray[np.int32], scales: Array, newest: float, begun: int,
+    iterations: int, jerk: Array, acceleration: Array, straight: Array, slip: Array,
+    pull: float, trust: Array, forward: Array, votes: Array, dilution: float,
 ) -> None:
     """
     Fit knots first .. last - 1 by Gauss-Newton; earlier ones stay as they are.
@@ -55,6 +55,8 @@ def solve(
         Geman-McClure scales of the iterations, the last for all that follow.
     newest
         Pairs with a keyframe at or after this time anneal by `scales`.
+    begun, iterations
+        Iterations done before, by another call, and how many there are to be at the most.
     jerk, acceleration, straight
         (3,) prior information of third, second and first differences of the coefficients.
     slip
@@ -67,7 +69,7 @@ def solve(
     """
     n = last - first
     information, slope = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
-    for i in range(iterations):
+    for i in range(begun, iterations):
         information[:], slope[:] = 0.0, 0.0
         scale, final = scales[min(i, len(scales) - 1)], scales[-1]
         _add_pairs(
