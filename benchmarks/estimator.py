@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+import gc
 import itertools
 import time
 
@@ -54,6 +55,7 @@ def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
         Trajectory, list[float], float]:
     """Return the scanner's final path, the seconds each scan took, and seconds not observable."""
     estimator = StriEstimator(mount, config)
+    gc.freeze()             # as the node does
     taken, final = [], []
     for scan in scans:
         began = time.perf_counter()

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 SCALES = np.array([0.2, 0.1, 0.06, 0.04])
 START_SCALES = np.array([0.25, 0.25, 0.12, 0.12, 0.06, 0.06, 0.04])
 START_ITERATIONS = 14
-PARTS = (0, 3, 6, START_ITERATIONS)     # of the fit of a motion taken up: a scan's time each
+PARTS = (0, 4, START_ITERATIONS)        # iterations that go with one scan, taking up a motion
 SLOW = 0.11           # seconds between scans, beyond which surfaces can't be followed
 CERTAIN = 0.25        # m/s, standard deviation of a speed that is known
 CLEAR, AGREED = 0.23, 0.7     # m/s, share of votes: a speed that tells who is wrong; usually 0.19
@@ -178,13 +178,15 @@ class JointPath:
             self.pose(origin * self.h), geometry.exp(way))
         self.trust.pardon()
         newest = self.window.rebuild(begin * self.h, self.knots)
-        yield True
         knots = begin + 2, self.step + 3
         weights = self._weights()
         for begun, end in pairwise(PARTS):
-            self._solve(*knots, START_SCALES, newest, begun, end, weights)
             yield True
-        self._refit(*knots, newest, START_SCALES, START_ITERATIONS, weights)
+            self._solve(*knots, START_SCALES, newest, begun, end, weights)
+        yield True
+        stale = self._build_again(knots[0])
+        yield True
+        self._conclude(*knots, newest, START_SCALES, START_ITERATIONS, weights, stale)
         yield True
 
     def _parting(self, twist: Array, acceleration: Array) -> int | None:
@@ -249,19 +251,24 @@ class JointPath:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
         weights = self._weights()
         self._solve(first, last, scales, newest, 0, iterations, weights)
-        self._refit(first, last, newest, scales, iterations, weights)
+        stale = self._build_again(first)
+        self._conclude(first, last, newest, scales, iterations, weights, stale)
 
-    def _refit(
+    def _build_again(self, first: int) -> bool:
+        """Build anew the keyframes whose motion turned out different; tell if there are any."""
+        stale = self.window.stale(self.knots, first * self.h)
+        for slot in stale:
+            self.window.build(slot, self.knots)
+        self.window.pairs.renew(stale)
+        return bool(stale)
+
+    def _conclude(
         self, first: int, last: int, newest: float, scales: Array, iterations: int,
-        weights: Array,
+        weights: Array, again: bool,
     ) -> None:
-        """Do what follows the first solution of a fit."""
+        """Solve again if keyframes were built again; then tell what follows from the fit."""
         window = self.window
-        stale = window.stale(self.knots, first * self.h)
-        if stale:
-            for slot in stale:
-                window.build(slot, self.knots)
-            window.pairs.renew(stale)
+        if again:
             self._solve(first, last, scales[-2:], newest, 0, iterations, weights)
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
