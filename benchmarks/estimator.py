@@ -29,6 +29,7 @@ from stri_mapping.scan import Scan
 from stri_mapping.simulation.drive import Drive, make_drive, START_NS
 from stri_mapping.simulation.scenes import Options
 from stri_mapping.stri.config import EstimatorConfig, JointConfig
+from stri_mapping.stri.estimate import Estimate
 from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.trajectory import Trajectory
 from stri_mapping.vehicle import default_vehicle_file, load_vehicle, Vehicle
@@ -52,8 +53,8 @@ def scanner_truth(drive: Drive) -> Trajectory:
 
 
 def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
-        Trajectory, list[float], float]:
-    """Return the scanner's final path, the seconds each scan took, and seconds not observable."""
+        list[Estimate], list[float]]:
+    """Return the final estimates, and the seconds each scan took."""
     estimator = StriEstimator(mount, config)
     gc.freeze()             # as the node does
     taken, final = [], []
@@ -63,12 +64,14 @@ def estimate(scans: list[Scan], mount: Array, config: EstimatorConfig) -> tuple[
         final += estimator.take_refined()
         taken.append(time.perf_counter() - began)
     estimator.finish()
-    final += estimator.take_refined()
+    return final + estimator.take_refined(), taken
+
+
+def scanner_path(final: list[Estimate], mount: Array) -> Trajectory:
+    """Return the scanner's path."""
     stamps = np.array([e.stamp_ns for e in final], dtype=np.int64)
-    poses = geometry.compose(np.array([e.pose for e in final]),
-                             geometry.planar_pose(mount))
-    blind = float(np.diff(stamps)[[e.degenerate for e in final[1:]]].sum()) * 1e-9
-    return Trajectory(stamps, poses), taken, blind
+    poses = geometry.compose(np.array([e.pose for e in final]), geometry.planar_pose(mount))
+    return Trajectory(stamps, poses)
 
 
 def make(scene: str, seed: int) -> tuple[list[Scan], Trajectory]:
@@ -89,8 +92,10 @@ def run(
     shape: Callable[[Trajectory], Trajectory] = lambda path: path,
 ) -> tuple[dict[str, float], list[float]]:
     """Return the figures of one drive by name, and the seconds of every scan."""
-    path, taken, blind = estimate(scans, VEHICLE.horizontal.T_base_laser, config)
-    path = shape(path)
+    mount = VEHICLE.horizontal.T_base_laser
+    final, taken = estimate(scans, mount, config)
+    path = shape(scanner_path(final, mount))
+    blind = float(np.diff(path.stamps_ns)[[e.degenerate for e in final[1:]]].sum()) * 1e-9
     metrics = {m.name: m.value for m in (*path_metrics(path, truth), *speed_metrics(path, truth))}
     figures = {name: np.nan if metrics[name] is None else float(metrics[name] or 0.0)
                for name in COLUMNS}
