@@ -28,7 +28,7 @@ Index = NDArray[np.int64]
 X, Y, NX, NY, NORMAL_VAR, S_BEARING, S_LABEL, PULL = range(8)
 SURFEL = 8
 
-GRAZING_FITTED = 0.3       # metres along the line from ray to ray, beyond which it is not used
+GRAZING_FITTED = 0.3       # metres of range from ray to ray, as the fitted line has it
 SPARSE = 500               # rays of a keyframe below which the widest window and few points serve
 WINDOWS = (1.6, 0.8, 0.4, 0.2, 0.1)     # metres to either side
 MIN_POINTS, MIN_POINTS_SPARSE = 6, 2
