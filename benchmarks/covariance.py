@@ -51,9 +51,8 @@ def normalised_errors(final: list[Estimate], truth: Array) -> Array:
         along = np.eye(3)
         along[:2, 2] = a.pose[1] - b.pose[1], b.pose[0] - a.pose[0]
         growth = b.pose_covariance - along @ a.pose_covariance @ along.T
-        cos, sin = np.cos(b.pose[2]), np.sin(b.pose[2])
-        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        growth = turn @ growth @ turn.T
+        turn = geometry.rotation_from_rpy(0.0, 0.0, b.pose[2])
+        growth = turn.T @ growth @ turn
         grown = np.linalg.eigvalsh(growth)[0] > 0.0
         errors.append(error @ np.linalg.solve(growth, error) / 3.0 if grown else np.nan)
     return np.array(errors)

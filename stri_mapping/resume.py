@@ -87,7 +87,6 @@ def placed(estimate: Estimate, T_odom_start: Array) -> Estimate:
         (3,) x, y, yaw of that beginning in odom.
 
     """
-    cos, sin = np.cos(T_odom_start[2]), np.sin(T_odom_start[2])
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turn = geometry.rotation_from_rpy(0.0, 0.0, T_odom_start[2])
     return replace(estimate, pose=geometry.compose(T_odom_start, estimate.pose),
                    pose_covariance=turn @ estimate.pose_covariance @ turn.T)

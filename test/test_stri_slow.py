@@ -4,10 +4,10 @@
 
 import numpy as np
 import pytest
+from test_stri_estimator import run
 from test_stri_parts import ANGLES, look
 
 from stri_mapping.scan import Scan
-from stri_mapping.stri.estimator import StriEstimator
 from stri_mapping.stri.pairs import TANGENT
 
 PERIOD, SPEED, SECONDS = 0.2, 0.5, 20.0
@@ -28,16 +28,13 @@ def corridor():
 @pytest.mark.parametrize('seed', range(4))
 def test_the_way_along_a_corridor_is_told_by_faces_that_few_rays_meet(seed):
     rng = np.random.default_rng(seed)
-    walls, estimator, final = corridor(), StriEstimator(np.eye(4)), []
+    walls, scans = corridor(), []
     times = np.arange(0.0, SECONDS, PERIOD)
     for t in times:
         pose = np.array([SPEED * t, 0.0, np.deg2rad(3.0) * np.sin(t)])
         ranges = np.round(look(pose, walls, NOISE, rng), 2)
-        estimator.add(Scan(round(1e9 * t), ranges, ANGLES, np.zeros(len(ANGLES)),
-                           range_max=80.0))
-        final += estimator.take_refined()
-    estimator.finish()
-    final += estimator.take_refined()
+        scans.append(Scan(round(1e9 * t), ranges, ANGLES, np.zeros(len(ANGLES)), range_max=80.0))
+    _, final = run(np.eye(4), scans)
     way = np.array([e.pose[0] for e in final])
     # 5 to 10 m ahead one or two rays meet a pilaster; it is found again within TANGENT.  The
     # walls alone would let the fit stand still, 10 m off

@@ -174,7 +174,7 @@ class StriEstimator:
     def _of_scanner(self, twist: Array) -> Array:
         """Return the scanner's own twist when base_link has a twist (3,)."""
         lever = twist + twist[2] * np.array([-self._mount[1], self._mount[0], 0.0])
-        return np.asarray(_rotation(-self._mount[2]) @ lever)
+        return np.asarray(geometry.rotation_from_rpy(0.0, 0.0, -self._mount[2]) @ lever)
 
     def _profile(self, scan: Scan, time: float, moves: Mask | None = None) -> Profile:
         """Return a scan as `SlopeSearch` takes it, without the rays on what is known to move."""
@@ -284,9 +284,3 @@ class StriEstimator:
         limit = self.config.degenerate_sigma
         return Estimate(stamp_ns, pose, pose_covariance, twist, twist_covariance,
                         1.0 / (1.0 + (sigma / limit) ** 2), sigma > limit)
-
-
-def _rotation(angle: float) -> Array:
-    """Return the (3, 3) rotation of planar velocities by an angle."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

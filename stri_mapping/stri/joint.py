@@ -178,16 +178,8 @@ class JointPath:
             self.pose(origin * self.h), geometry.exp(way))
         self.trust.pardon()
         newest = self.window.rebuild(begin * self.h, self.knots)
-        knots = begin + 2, self.step + 3
-        weights = self._weights()
-        for begun, end in pairwise(PARTS):
-            yield True
-            self._solve(*knots, START_SCALES, newest, begun, end, weights)
         yield True
-        stale = self._build_again(knots[0])
-        yield True
-        self._conclude(*knots, newest, START_SCALES, START_ITERATIONS, weights, stale)
-        yield True
+        yield from self._parts_of_fit(begin + 2, self.step + 3, newest, START_SCALES, PARTS)
 
     def _parting(self, twist: Array, acceleration: Array) -> int | None:
         """Return the newest step, not final, at which the path had the motion to be taken up."""
@@ -248,37 +240,32 @@ class JointPath:
     def _fit(
         self, first: int, last: int, newest: float, scales: Array, iterations: int,
     ) -> None:
+        for _ in self._parts_of_fit(first, last, newest, scales, (0, iterations)):
+            pass
+
+    def _parts_of_fit(
+        self, first: int, last: int, newest: float, scales: Array, bounds: tuple[int, ...],
+    ) -> Iterator[bool]:
         """Solve; where the motion turned out different, build the keyframes again and solve."""
-        weights = self._weights()
-        self._solve(first, last, scales, newest, 0, iterations, weights)
-        stale = self._build_again(first)
-        self._conclude(first, last, newest, scales, iterations, weights, stale)
-
-    def _build_again(self, first: int) -> bool:
-        """Build anew the keyframes whose motion turned out different; tell if there are any."""
-        stale = self.window.stale(self.knots, first * self.h)
-        for slot in stale:
-            self.window.build(slot, self.knots)
-        self.window.pairs.renew(stale)
-        return bool(stale)
-
-    def _conclude(
-        self, first: int, last: int, newest: float, scales: Array, iterations: int,
-        weights: Array, again: bool,
-    ) -> None:
-        """Solve again if keyframes were built again; then tell what follows from the fit."""
         window = self.window
+        self.trust.reset()
+        weights = self._weights()
+        for begun, end in pairwise(bounds):
+            self._solve(first, last, scales, newest, begun, end, weights)
+            yield True
+        again = window.build_again(self.knots, first * self.h)
+        yield True
         if again:
-            self._solve(first, last, scales[-2:], newest, 0, iterations, weights)
+            self._solve(first, last, scales[-2:], newest, 0, bounds[-1], weights)
         self._extrapolate()
         self.uncertainty.extend(self.knots, last, window.pairs, window.frames, newest)
         self.sigma = self._speed_sigma()
-        if newest == np.inf:        # no scan: nobody has been asked
-            return
-        window.seen_through(self._newest, self.knots, self.trust.through)
-        window.testimony(self.error.value, self._forward, self.trust.testimony)
-        self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN,
-                          self.sigma < CLEAR and self.trust.agreement > AGREED)
+        if newest < np.inf:         # without a scan nobody has been asked
+            window.seen_through(self._newest, self.knots, self.trust.through)
+            window.testimony(self.error.value, self._forward, self.trust.testimony)
+            self.trust.update(self._newest[:, LABEL], self.sigma < CERTAIN,
+                              self.sigma < CLEAR and self.trust.agreement > AGREED)
+        yield True
 
     def _speed_sigma(self) -> float:
         here, rest, covariance = np.zeros(3), np.empty((3, 3)), np.empty((3, 3))
@@ -300,8 +287,7 @@ class JointPath:
             SLOW_DILUTION if self.slow else DILUTION)
 
     def _weights(self) -> Array:
-        """Begin a vote; return the weights of surfaces, one of scans too rare to follow any."""
-        self.trust.reset()
+        """Return the weight of each surface by number, one of scans too rare to follow any."""
         if self.slow or not self.config.judge_surfaces:
             return np.ones(len(self.trust.weight))
         return self.trust.of_residuals()

@@ -194,11 +194,16 @@ class Window:
                 testify(f.surfels[a], f.counts[a], f.surfels[b], f.counts[b], f.bins[b], z,
                         APART, SURFELS_ASKED, pull, forward, testimony)
 
-    def stale(self, knots: Array, begin: float) -> list[int]:
-        """Return the keyframes since a time that were built with another motion than now."""
-        return [slot for slot in self.order
-                if slot in self._rays and self.frames.time[slot] >= begin
-                and self._misplaced(slot, knots)]
+    def build_again(self, knots: Array, begin: float) -> bool:
+        """Build anew the keyframes since a time that had another motion; tell if there are any."""
+        stale = [slot for slot in self.order
+                 if slot in self._rays and self.frames.time[slot] >= begin
+                 and self._misplaced(slot, knots)]
+        for slot in stale:
+            self.build(slot, knots)
+        if stale:
+            self.pairs.renew(stale)
+        return bool(stale)
 
     def _misplaced(self, slot: int, knots: Array) -> bool:
         now = np.empty(3)
