@@ -9,7 +9,7 @@ import pytest
 
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
-from stri_mapping.stri import keyframe, pairs
+from stri_mapping.stri import keyframe, pairs, surfel
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
@@ -63,7 +63,7 @@ def surfels_of(pose, walls, rng):
         ranges = look(pose, walls, 0.01, rng)
         n += prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0,
                           rays[n:])
-    surfels = np.empty((2048, keyframe.SURFEL))
+    surfels = np.empty((2048, surfel.SURFEL))
     bins = np.empty(keyframe.BINS + 1, np.int32)
     count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins,
                            np.empty(keyframe.SIGHTS))
@@ -120,10 +120,10 @@ def test_surfels_lie_on_the_wall_with_its_normal():
     # the scanner's x axis points at the wall: it is at x = 8 there, its normal points back.
     # 0.8 m of a wall 8 m away hold at least 50 points of 1 cm: 1.4 mm, five of that and the
     # quantiles of 300 surfels
-    near = np.abs(found[:, keyframe.Y]) < 5.0
-    assert np.abs(found[near, keyframe.X] - 8.0).max() < 0.012
-    assert np.all(found[near, keyframe.NX] < -0.99)
-    assert np.all(np.diff(found[:, keyframe.S_BEARING]) >= 0.0)
+    near = np.abs(found[:, surfel.Y]) < 5.0
+    assert np.abs(found[near, surfel.X] - 8.0).max() < 0.012
+    assert np.all(found[near, surfel.NX] < -0.99)
+    assert np.all(np.diff(found[:, surfel.S_BEARING]) >= 0.0)
 
 
 def test_a_face_that_one_ray_meets_is_taken_to_face_the_scanner():
@@ -132,15 +132,15 @@ def test_a_face_that_one_ray_meets_is_taken_to_face_the_scanner():
                                 (14.0, -2.0, 14.0, 2.0), (9.0, 0.1, 9.0, 0.25)])
     rays = np.empty((181, 5))
     n = prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays)
-    surfels = np.empty((181, keyframe.SURFEL))
+    surfels = np.empty((181, surfel.SURFEL))
     count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 1, surfels,
                            np.empty(keyframe.BINS + 1, np.int32), np.empty(keyframe.SIGHTS))
-    post = surfels[:count][np.abs(surfels[:count, keyframe.X] - 9.0) < 0.01]
-    post = post[np.abs(post[:, keyframe.Y]) < 1.0]
+    post = surfels[:count][np.abs(surfels[:count, surfel.X] - 9.0) < 0.01]
+    post = post[np.abs(post[:, surfel.Y]) < 1.0]
     assert len(post) == 1
     np.testing.assert_allclose(post[0, :2], 9.0 * np.array([1.0, np.tan(ANGLES[91])]), atol=1e-9)
     # which way it faces is not known
-    assert post[0, keyframe.NX] < -0.99 and post[0, keyframe.NORMAL_VAR] > 0.05
+    assert post[0, surfel.NX] < -0.99 and post[0, surfel.NORMAL_VAR] > 0.05
 
 
 @pytest.mark.parametrize('shift', [(0.02, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.002)])
@@ -187,9 +187,9 @@ def test_a_surface_that_shifts_is_told_from_those_that_stand(shift):
     a, count_a, _ = seen(begins + [0.0, 0.0, shift, 0.0])
     b, count_b, bins = seen(begins)
     # the scanner's y axis points backwards; the wall belongs to no surface
-    ahead = -a[:count_a, keyframe.Y]
+    ahead = -a[:count_a, surfel.Y]
     number = np.abs(begins[:, None] + 0.75 - ahead).argmin(axis=0)
-    a[:count_a, keyframe.S_LABEL] = np.where(a[:count_a, keyframe.X] < 7.5, number, -1.0)
+    a[:count_a, surfel.S_LABEL] = np.where(a[:count_a, surfel.X] < 7.5, number, -1.0)
     testimony = np.zeros((2, LABELS))
     pairs.testify(a, count_a, b, count_b, bins, np.zeros(3), 0.06, 1, 0.0,
                   np.array([0.0, -1.0]), testimony)
@@ -341,7 +341,7 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
         for _ in range(15):
             n += prepare_rays(ranges + 0.01 * rng.standard_normal(181), ANGLES,
                               np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
-        surfels = np.empty((2048, keyframe.SURFEL))
+        surfels = np.empty((2048, surfel.SURFEL))
         count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
                                surfels, np.empty(keyframe.BINS + 1, np.int32),
                                np.empty(keyframe.SIGHTS))
@@ -362,11 +362,11 @@ def test_the_pull_is_learnt_from_short_walls_in_line(pull, step):
         pose = turned_by_pull(error, pose, pull, step)
         at = abs(int(0.7 * k / 6.0))
         normal = (car if at % 3 == 0 else house)[at] + 0.005 * rng.standard_normal(80)
-        surfels = np.zeros((80, keyframe.SURFEL))
+        surfels = np.zeros((80, surfel.SURFEL))
         along = np.linspace(-1.5, 1.5, 80)      # too short a piece to show a bend
-        surfels[:, keyframe.X] = 8.0
-        surfels[:, keyframe.Y] = along
-        surfels[:, keyframe.NX], surfels[:, keyframe.NY] = -np.cos(normal), -np.sin(normal)
+        surfels[:, surfel.X] = 8.0
+        surfels[:, surfel.Y] = along
+        surfels[:, surfel.NX], surfels[:, surfel.NY] = -np.cos(normal), -np.sin(normal)
         error.learn(surfels, pose, 0.7 * k)
     # 0.15 degrees of 47 houses over 420 m leave a tenth of a degree in 100 m, or 0.7e-5
     assert error.value == pytest.approx(pull, abs=0.7e-5)
@@ -464,9 +464,9 @@ def test_what_came_to_a_place_seen_through_counts_and_what_hides_does_not():
         count_through(ray, 1, knots, H, home, sight, votes)
     np.testing.assert_array_equal(votes, [1.0, 0.0, 0.0, 0.0])
     # a surface of before that the newer keyframe, a metre on, sees through has left
-    surfels = np.zeros((3, keyframe.SURFEL))
-    surfels[:, keyframe.X], surfels[:, keyframe.Y] = 0.0, [4.0, 8.0, 12.0]
-    surfels[:, keyframe.S_LABEL] = [0, 1, 2]
+    surfels = np.zeros((3, surfel.SURFEL))
+    surfels[:, surfel.X], surfels[:, surfel.Y] = 0.0, [4.0, 8.0, 12.0]
+    surfels[:, surfel.S_LABEL] = [0, 1, 2]
     votes[:] = 0.0
     count_left(surfels, 3, 1, np.array([-1.0, 0.0, 0.0]), sight, votes)
     np.testing.assert_array_equal(votes, [1.0, 0.0, 0.0, 0.0])

@@ -26,7 +26,6 @@ from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.rays import prepare_rays
 from stri_mapping.stri.recovery import changed_twist, Recovery
 from stri_mapping.stri.segmentation import Labels, Segmenter
-from stri_mapping.stri.trust import LABELS, MOVES
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -210,8 +209,7 @@ class StriEstimator:
             self._take_up()
         self._advanced = advances
         self._path.add(start, end, rays)
-        moves = (labels >= 0) & (self._path.trust.weight[labels % LABELS] < MOVES)
-        self._profiles.append(self._profile(scan, time, moves))
+        self._profiles.append(self._profile(scan, time, self._path.moving(labels)))
         while self._profiles[0][0] < self._profiles[-1][0] - RECENT:
             self._profiles.popleft()
         self._release(self._path.final_until)

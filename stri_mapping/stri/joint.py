@@ -24,7 +24,7 @@ from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.rays import LABEL
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import Trust
+from stri_mapping.stri.trust import LABELS, NEW, Trust
 from stri_mapping.stri.uncertainty import Uncertainty
 from stri_mapping.stri.window import Window
 
@@ -82,6 +82,7 @@ class JointPath:
         self.trust = Trust()
         self.window = Window(spacing, angle_step, config.lags, config.distances, config.active)
         self.slow = spacing > SLOW
+        self._judges = config.judge_surfaces and not self.slow
         self._kept = config.active if self.slow else max(config.active, config.kept)
         self._start = 0           # knot at which the motion was taken up
         self._forward = np.array([np.cos(mount[2]), -np.sin(mount[2])])
@@ -209,6 +210,12 @@ class JointPath:
         velocity_at(self.knots, self.h, t, velocity)
         return velocity
 
+    def moving(self, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Tell which rays, by their surfaces (n,), are not to be believed: these may move."""
+        if not self._judges:
+            return np.zeros(len(labels), np.bool_)
+        return (labels >= 0) & (self.trust.weight[labels % LABELS] < NEW)
+
     def _extrapolate(self) -> None:
         """Lay knots beyond the newest by its velocity and a fading acceleration."""
         last = self.step + 3
@@ -288,9 +295,7 @@ class JointPath:
 
     def _weights(self) -> Array:
         """Return the weight of each surface by number, one of scans too rare to follow any."""
-        if self.slow or not self.config.judge_surfaces:
-            return np.ones(len(self.trust.weight))
-        return self.trust.of_residuals()
+        return self.trust.of_residuals() if self._judges else np.ones(len(self.trust.weight))
 
 
 def _zeros(count: int) -> Array:

@@ -16,17 +16,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import (
-    bearing_bin,
-    NORMAL_VAR,
-    NX,
-    NY,
-    PULL,
-    S_BEARING,
-    S_LABEL,
-    X,
-    Y,
-)
+from stri_mapping.stri.keyframe import bearing_bin
+from stri_mapping.stri.surfel import NORMAL_VAR, NX, NY, PULL, S_BEARING, S_LABEL, X, Y
 
 Array = NDArray[np.float64]
 

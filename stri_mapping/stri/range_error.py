@@ -21,8 +21,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import NORMAL_VAR, NX, NY, X, Y
 from stri_mapping.stri.straightness import Bends, commonest_normal
+from stri_mapping.stri.surfel import NORMAL_VAR, NX, NY, X, Y
 
 Array = NDArray[np.float64]
 

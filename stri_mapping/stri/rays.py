@@ -19,7 +19,8 @@ NOISE = 0.012              # metres, one ray, at zero range; grows by a third ev
 NOISE_RANGE = 40.0
 GRAZING = 0.2              # metres of range from ray to ray: the footprint's near side is seen
 STEP, STEP_PER_RANGE = 0.12, 0.01
-SIGHT_ONLY = 2.0
+ROW = 1.0                  # metres from ray to ray: a wall that is grazed, or columns in a row
+LONE_RAY, SIGHT_ONLY, IN_ROW = 1.0, 2.0, 3.0
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
@@ -39,7 +40,8 @@ def prepare_rays(
     A ray at grazing incidence reports the near side of its footprint, and the last ray before
     a jump a mixture; such a ray serves as a line of sight alone if it is in line with its
     neighbours, else it is kept as a lone one, which may be a column's far side but may not bend
-    another ray's line.
+    another ray's line.  In line with its neighbours and metres from them it may be either, as
+    columns in a row are: what it is only several turns can tell (`IN_ROW`, see `surfel`).
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ def prepare_rays(
     far
         Ranges beyond are not used, metres.
     out
-        (n, 5) written with range, bearing, time, lone (0, 1 or `SIGHT_ONLY`), label.
+        (n, 5) written with range, bearing, time, lone (0 or `LONE_RAY`, `SIGHT_ONLY`,
+        `IN_ROW`), label.
 
     Returns
     -------
@@ -74,15 +77,15 @@ def prepare_rays(
             bend = abs(1.0 / ranges[j - 1] - cos2 / r + 1.0 / ranges[j + 1]) * r * r
         lone = 0.0
         if min(before, after) > GRAZING:
-            if bend > 1e8 or bend <= 7.2 * sigma + 0.08 * max(before, after):
-                lone = SIGHT_ONLY
-            else:
-                lone = 1.0
+            in_line = bend > 1e8 or bend <= 7.2 * sigma + 0.08 * max(before, after)
+            lone = LONE_RAY
+            if in_line:
+                lone = IN_ROW if min(before, after) > ROW else SIGHT_ONLY
         elif bend > 7.2 * sigma:
             step = STEP + STEP_PER_RANGE * r
             if ((1e9 > before > step and ranges[j - 1] > r)
                     or (1e9 > after > step and ranges[j + 1] > r)):
-                lone = 1.0
+                lone = LONE_RAY
         out[count, RANGE], out[count, BEARING] = r, angles[j]
         out[count, TIME], out[count, LONE] = start + times[j], lone
         out[count, LABEL] = labels[j]

@@ -15,9 +15,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import S_LABEL, sector, X, Y
+from stri_mapping.stri.keyframe import sector
 from stri_mapping.stri.rays import BEARING, LABEL, RANGE, TIME
 from stri_mapping.stri.spline import pose_at
+from stri_mapping.stri.surfel import S_LABEL, X, Y
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.keyframe import NX, NY, PULL, X, Y
+from stri_mapping.stri.surfel import NX, NY, PULL, X, Y
 
 Array = NDArray[np.float64]
 

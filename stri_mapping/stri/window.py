@@ -13,6 +13,7 @@ from stri_mapping.stri import keyframe
 from stri_mapping.stri.pairs import relative, testify
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
+from stri_mapping.stri.surfel import SURFEL
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -47,7 +48,7 @@ class Keyframes:
     """
 
     surfels: Array = field(
-        default_factory=lambda: np.zeros((SLOTS, POINTS, keyframe.SURFEL)))
+        default_factory=lambda: np.zeros((SLOTS, POINTS, SURFEL)))
     counts: Index = field(default_factory=lambda: np.zeros(SLOTS, np.int64))
     bins: NDArray[np.int32] = field(
         default_factory=lambda: np.zeros((SLOTS, keyframe.BINS + 1), np.int32))
