@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 SLOTS, POINTS = 384, 2048     # keyframes kept at most, and surfels of each
 RAYS_PER_STRIDE = 1000        # rays of a keyframe of which every next one becomes a surfel
-SEEN_THROUGH = (2, 4, 7)                # keyframes back
+SEEN_THROUGH = (2, 4, 7, 12)              # keyframes back
 TESTIFY = (4, 7)                        # keyframes back
 APART = 0.06                  # metres, Geman-McClure scale of what surfaces say apart
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
