@@ -10,11 +10,12 @@ import pytest
 from stri_mapping import geometry
 from stri_mapping.scan import Scan
 from stri_mapping.stri import keyframe, pairs, surfel
+from stri_mapping.stri.edges import EDGES
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
-from stri_mapping.stri.rays import prepare_rays
+from stri_mapping.stri.rays import prepare_rays, RAY
 from stri_mapping.stri.recovery import Recovery
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
@@ -54,20 +55,29 @@ def scan_at(t, base, walls, **noise):
     return Scan(round(1e9 * t), ranges, ANGLES, np.zeros(len(ANGLES)), range_max=80.0)
 
 
+def prepared(ranges, brightness=None, start=0.2):
+    """Rays of a scan at a time, as the estimator prepares them, all on surface 0."""
+    rays = np.empty((len(ranges), RAY))
+    bright = np.full(len(ranges), np.nan) if brightness is None else brightness
+    labels = np.zeros(len(ranges), np.int32)
+    n = prepare_rays(
+        ranges, ANGLES, np.zeros(len(ranges)), labels, bright, start, 80.0, rays)
+    return rays[:n]
+
+
+def build(rays, knots=np.zeros((8, 3)), stride=2):
+    """Surfels, their number and bins, and the edges of a keyframe at 0.2 s."""
+    surfels, edges = np.empty((2048, surfel.SURFEL)), np.empty((EDGES, surfel.SURFEL))
+    bins, edge_bins = np.empty((2, keyframe.BINS + 1), np.int32)
+    count, found = keyframe.build(rays, knots, H, 0.2, ANGLES[1] - ANGLES[0], stride, surfels,
+                                  bins, edges, edge_bins, np.empty(keyframe.SIGHTS))
+    return surfels, count, bins, edges[:found]
+
+
 def surfels_of(pose, walls, rng):
     """Surfels of a keyframe merged from 15 noisy scans taken at one pose (scanner frame)."""
-    knots = np.zeros((8, 3))
-    rays = np.empty((15 * 181, 5))
-    n = 0
-    for _ in range(15):
-        ranges = look(pose, walls, 0.01, rng)
-        n += prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0,
-                          rays[n:])
-    surfels = np.empty((2048, surfel.SURFEL))
-    bins = np.empty(keyframe.BINS + 1, np.int32)
-    count = keyframe.build(rays[:n], knots, H, 0.2, ANGLES[1] - ANGLES[0], 2, surfels, bins,
-                           np.empty(keyframe.SIGHTS))
-    return surfels, count, bins
+    scans = [prepared(look(pose, walls, 0.01, rng)) for _ in range(15)]
+    return build(np.concatenate(scans))[:3]
 
 
 def test_a_wall_at_grazing_incidence_is_one_surface_and_a_column_another():
@@ -130,11 +140,7 @@ def test_a_face_that_one_ray_meets_is_taken_to_face_the_scanner():
     # a post a hand wide, 9 m ahead, in a corridor that ends 5 m behind it
     ranges = look(np.zeros(3), [(0.0, 2.0, 14.0, 2.0), (0.0, -2.0, 14.0, -2.0),
                                 (14.0, -2.0, 14.0, 2.0), (9.0, 0.1, 9.0, 0.25)])
-    rays = np.empty((181, 5))
-    n = prepare_rays(ranges, ANGLES, np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays)
-    surfels = np.empty((181, surfel.SURFEL))
-    count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 1, surfels,
-                           np.empty(keyframe.BINS + 1, np.int32), np.empty(keyframe.SIGHTS))
+    surfels, count, _, _ = build(prepared(ranges), stride=1)
     post = surfels[:count][np.abs(surfels[:count, surfel.X] - 9.0) < 0.01]
     post = post[np.abs(post[:, surfel.Y]) < 1.0]
     assert len(post) == 1
@@ -160,7 +166,7 @@ def test_one_linearisation_finds_a_small_relative_pose(shift):
     assert z[0] == pytest.approx(shift[0], abs=0.004)
     assert z[1] == pytest.approx(shift[1], abs=0.020)
     assert z[2] == pytest.approx(shift[2], abs=0.0006)
-    assert votes[0] > 20.0 and votes[-1] == 4.0
+    assert votes[0] > 20.0
 
 
 def test_a_bare_wall_tells_nothing_along_itself():
@@ -336,15 +342,8 @@ def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
         ranges = look(LEFT, WALL)
         slant = 8.0 * np.tan(ANGLES[1:-1]) / np.cos(ANGLES[1:-1])
         ranges[1:-1] -= pull * slant ** 2
-        rays = np.empty((15 * 181, 5))
-        n = 0
-        for _ in range(15):
-            n += prepare_rays(ranges + 0.01 * rng.standard_normal(181), ANGLES,
-                              np.zeros(181), np.zeros(181, np.int32), 0.2, 80.0, rays[n:])
-        surfels = np.empty((2048, surfel.SURFEL))
-        count = keyframe.build(rays[:n], np.zeros((8, 3)), H, 0.2, ANGLES[1] - ANGLES[0], 2,
-                               surfels, np.empty(keyframe.BINS + 1, np.int32),
-                               np.empty(keyframe.SIGHTS))
+        scans = [prepared(ranges + 0.01 * rng.standard_normal(181)) for _ in range(15)]
+        surfels, count, _, _ = build(np.concatenate(scans))
         pose = turned_by_pull(error, pose, pull, -0.5)
         error.learn(surfels[:count], pose, 0.5 * k)
     # the prior holds it back where walls tell little; here they tell much

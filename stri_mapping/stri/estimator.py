@@ -23,7 +23,7 @@ from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
-from stri_mapping.stri.rays import prepare_rays
+from stri_mapping.stri.rays import prepare_rays, RAY
 from stri_mapping.stri.recovery import changed_twist, Recovery
 from stri_mapping.stri.segmentation import Labels, Segmenter
 
@@ -187,10 +187,12 @@ class StriEstimator:
     def _prepare(self, scan: Scan, labels: Labels, time: float) -> tuple[Array, float, float]:
         assert self._path is not None
         start = time + self._path.h       # the spline's clock is one knot ahead of the first scan
-        rays = np.empty((len(scan), 5))
+        rays = np.empty((len(scan), RAY))
+        brightness = np.full(len(scan), np.nan) if scan.intensities is None else scan.intensities
         ranges = np.where(scan.valid, scan.ranges, np.inf)
         angles = self._handed * scan.angles
-        n = prepare_rays(ranges, angles, scan.times, labels, start, self.config.joint.far, rays)
+        n = prepare_rays(ranges, angles, scan.times, labels, brightness.astype(np.float64), start,
+                         self.config.joint.far, rays)
         return rays[:n], start, start + (float(scan.times.max()) if len(scan) else 0.0)
 
     def _take(self, scan: Scan, labels: Labels, time: float) -> None:

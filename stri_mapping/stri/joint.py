@@ -21,7 +21,7 @@ from stri_mapping import geometry
 from stri_mapping.stri.config import JointConfig
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.range_error import RangeError
-from stri_mapping.stri.rays import LABEL
+from stri_mapping.stri.rays import LABEL, RAY
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import LABELS, NEW, Trust
@@ -88,7 +88,7 @@ class JointPath:
         self._forward = np.array([np.cos(mount[2]), -np.sin(mount[2])])
         self._slip = np.array([mount[0], max(config.slip, 1e-3), config.slip_arm])
         self._scans: list[tuple[float, float, Array]] = []     # start, end, rays
-        self._newest = np.empty((0, 5))         # rays of the newest keyframe's own interval
+        self._newest = np.empty((0, RAY))        # rays of the newest keyframe's own interval
         h, c = spacing, config
         self._jerk = np.array([c.jerk, c.jerk, c.angular_jerk]) ** -2.0 * h ** -6
         linear, angular = c.acceleration, c.angular_acceleration

@@ -16,7 +16,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stri_mapping.stri.rays import BEARING, IN_ROW, LABEL, LONE, RANGE, SIGHT_ONLY, TIME
+from stri_mapping.stri.edges import find_edge
+from stri_mapping.stri.rays import (
+    BEARING,
+    BRIGHTNESS,
+    IN_ROW,
+    LABEL,
+    LONE,
+    RANGE,
+    SIGHT_ONLY,
+    TIME,
+)
 from stri_mapping.stri.spline import pose_at
 from stri_mapping.stri.surfel import (
     fit,
@@ -26,6 +36,8 @@ from stri_mapping.stri.surfel import (
     S_BEARING,
     S_LABEL,
     WINDOWS,
+    X,
+    Y,
 )
 
 Array = NDArray[np.float64]
@@ -39,15 +51,16 @@ SIGHTS = 240              # lines of sight over the full circle
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def build(
     rays: Array, knots: Array, h: float, moment: float, angle_step: float, stride: int,
-    surfels: Array, bins: NDArray[np.int32], sight: Array,
-) -> int:
+    surfels: Array, bins: NDArray[np.int32], edges: Array, edge_bins: NDArray[np.int32],
+    sight: Array,
+) -> tuple[int, int]:
     """
     Merge rays into the surfels of a keyframe.
 
     Parameters
     ----------
     rays
-        (n, 5) prepared rays of one or more scans.
+        (n, RAY) prepared rays of one or more scans.
     knots, h
         The spline by which each ray is put in its place, and its knot spacing.
     moment
@@ -60,13 +73,15 @@ def build(
         (m, SURFEL) written, sorted by bearing; no more than m.
     bins
         (BINS + 1,) written: first surfel of each bearing bin, bins over the full circle.
+    edges, edge_bins
+        The same of reflectance edges, see `edges.find_edge`.
     sight
         (SIGHTS,) written, see `look`.
 
     Returns
     -------
-    int
-        Number of surfels written.
+    tuple
+        Number of surfels and of edges written.
 
     """
     points, bearings = _merge(rays, knots, h, moment)
@@ -77,25 +92,32 @@ def build(
     order = use[np.argsort(bearings[use])]
     n = len(order)
     xy = np.empty((n, 2))
-    lone, ranges = np.empty(n), np.empty(n)
     for i in range(n):
-        ray = rays[order[i]]
-        xy[i], lone[i], ranges[i] = points[order[i]], ray[LONE], ray[RANGE]
+        xy[i] = points[order[i]]
+    lone, brightness = rays[order, LONE], rays[order, BRIGHTNESS]
     runs = number_runs(xy)
-    sums = running_sums(xy, ranges, lone)
+    sums = running_sums(xy, rays[order, RANGE], lone)
     low, high = np.empty((len(WINDOWS), n), np.int32), np.empty((len(WINDOWS), n), np.int32)
     for w in range(0 if sparse else 1, len(WINDOWS)):
         neighbours(xy, runs, WINDOWS[w], low[w], high[w])
-    count = 0
+    bright = np.isfinite(brightness).any()
+    count = found = 0
     for i in range(0, n, stride):
         if count == len(surfels):
             break
         if fit(i, xy, lone, sums, low, high, sparse, angle_step, surfels[count]):
             surfels[count, S_BEARING] = bearings[order[i]]
             surfels[count, S_LABEL] = rays[order[i], LABEL]
+            if bright and lone[i] == 0.0 and found < len(edges) and find_edge(
+                    xy, lone, brightness, low[1, i], high[1, i], surfels[count], edges[found]):
+                edges[found, S_BEARING] = math.atan2(edges[found, Y], edges[found, X])
+                edges[found, S_LABEL] = surfels[count, S_LABEL]
+                found += 1
             count += 1
     _fill_bins(surfels, count, bins)
-    return count
+    edges[:found] = edges[np.argsort(edges[:found, S_BEARING])]
+    _fill_bins(edges, found, edge_bins)
+    return count, found
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

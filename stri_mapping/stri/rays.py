@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # columns of a prepared ray
-RANGE, BEARING, TIME, LONE, LABEL = range(5)
+RANGE, BEARING, TIME, LONE, LABEL, BRIGHTNESS = range(6)
+RAY = 6
 
 NOISE = 0.012              # metres, one ray, at zero range; grows by a third every 13 m
 NOISE_RANGE = 40.0
@@ -31,8 +32,8 @@ def ray_sigma(r: float) -> float:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def prepare_rays(
-    ranges: Array, angles: Array, times: Array, labels: NDArray[np.int32], start: float,
-    far: float, out: Array,
+    ranges: Array, angles: Array, times: Array, labels: NDArray[np.int32], brightness: Array,
+    start: float, far: float, out: Array,
 ) -> int:
     """
     Pick a scan's usable rays; the motion is not needed for this.
@@ -49,13 +50,15 @@ def prepare_rays(
         (n,) metres (NaN or inf where not valid), radians, seconds since the scan's stamp.
     labels
         (n,) surface numbers.
+    brightness
+        (n,) what came back of the light, in the device's units; NaN where that is not known.
     start
         Stamp of the scan in seconds.
     far
         Ranges beyond are not used, metres.
     out
-        (n, 5) written with range, bearing, time, lone (0 or `LONE_RAY`, `SIGHT_ONLY`,
-        `IN_ROW`), label.
+        (n, RAY) written with range, bearing, time, lone (0 or `LONE_RAY`, `SIGHT_ONLY`,
+        `IN_ROW`), label, brightness.
 
     Returns
     -------
@@ -88,6 +91,6 @@ def prepare_rays(
                 lone = LONE_RAY
         out[count, RANGE], out[count, BEARING] = r, angles[j]
         out[count, TIME], out[count, LONE] = start + times[j], lone
-        out[count, LABEL] = labels[j]
+        out[count, LABEL], out[count, BRIGHTNESS] = labels[j], brightness[j]
         count += 1
     return count

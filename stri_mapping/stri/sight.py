@@ -37,7 +37,7 @@ def count_through(
     Parameters
     ----------
     rays
-        (n, 5) prepared rays, of which every stride-th is looked at.
+        (n, RAY) prepared rays, of which every stride-th is looked at.
     knots, h
         The spline that tells where the scanner was.
     pose, sight

@@ -36,9 +36,10 @@ MIN_POINTS, MIN_POINTS_SPARSE = 6, 2
 MIN_VARIANCE = 0.03 ** 2
 HEAD_ON = 0.9
 ALONE_VARIANCE = 0.1       # rad^2, of the normal where single rays met a face
-# A face met by one ray of a scan: its points, at the least, metres of their scatter in range
-# (footprints half on it come late), and how much wider than that it is seen, or its range changes.
-FACE_POINTS, FACE_SCATTER, FACE_CLEAR = 4, 0.1, 4.0
+# A face met by one ray of a scan: metres between rays, from where on they are looked for; points,
+# at the least; metres of their scatter in range (footprints half on it come late); and how much
+# wider than that it is seen, or its range changes, in variance.
+FACE_SPACING, FACE_POINTS, FACE_SCATTER, FACE_CLEAR = 0.5, 4, 0.1, 4.0
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -147,7 +148,7 @@ def fit(
         _face_the_scanner(x, y, r, 0.0, surfel)
         return True
     kind = 1 if lone[i] == 0.0 else 0
-    if kind == 0 and not sparse:
+    if kind == 0 and not sparse and r * angle_step > FACE_SPACING:
         begin, end = sums[0, low[1, i]], sums[0, high[1, i]]
         if _face(x, y, r, begin, end, surfel):
             return True

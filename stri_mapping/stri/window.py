@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stri_mapping.stri import keyframe
+from stri_mapping.stri.edges import EDGES
 from stri_mapping.stri.pairs import relative, testify
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
@@ -21,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 SLOTS, POINTS = 384, 2048     # keyframes kept at most, and surfels of each
 RAYS_PER_STRIDE = 1000        # rays of a keyframe of which every next one becomes a surfel
-SEEN_THROUGH = (2, 4, 7, 12)              # keyframes back
+SEEN_THROUGH = (2, 4, 7, 12)            # keyframes back
 TESTIFY = (4, 7)                        # keyframes back
 APART = 0.06                  # metres, Geman-McClure scale of what surfaces say apart
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
@@ -34,27 +35,29 @@ STALE_SHIFT, STALE_TURN = 0.003, 0.0008     # m, rad by which rays of a keyframe
 @dataclass(eq=False)
 class Keyframes:
     """
-    Keyframes in numbered slots, allocated once.
+    Keyframes in numbered slots, allocated once; the reflectance edges of one are `SLOTS` further.
 
     Attributes
     ----------
-    surfels, counts, bins, sight
-        (slots, m, SURFEL), (slots,), (slots, BINS + 1), (slots, SIGHTS), see `keyframe.build`.
+    surfels, counts, bins
+        (2 slots, m, SURFEL), (2 slots,), (2 slots, BINS + 1), see `keyframe.build`.
     time
-        (slots,) seconds on the spline's clock.
+        (2 slots,) seconds on the spline's clock.
     pose
-        (slots, 3) newest pose of the scanner.
+        (2 slots, 3) newest pose of the scanner.
+    sight
+        (slots, SIGHTS), see `keyframe.look`.
 
     """
 
     surfels: Array = field(
-        default_factory=lambda: np.zeros((SLOTS, POINTS, SURFEL)))
-    counts: Index = field(default_factory=lambda: np.zeros(SLOTS, np.int64))
+        default_factory=lambda: np.zeros((2 * SLOTS, POINTS, SURFEL)))
+    counts: Index = field(default_factory=lambda: np.zeros(2 * SLOTS, np.int64))
     bins: NDArray[np.int32] = field(
-        default_factory=lambda: np.zeros((SLOTS, keyframe.BINS + 1), np.int32))
+        default_factory=lambda: np.zeros((2 * SLOTS, keyframe.BINS + 1), np.int32))
     sight: Array = field(default_factory=lambda: np.zeros((SLOTS, keyframe.SIGHTS)))
-    time: Array = field(default_factory=lambda: np.zeros(SLOTS))
-    pose: Array = field(default_factory=lambda: np.zeros((SLOTS, 3)))
+    time: Array = field(default_factory=lambda: np.zeros(2 * SLOTS))
+    pose: Array = field(default_factory=lambda: np.zeros((2 * SLOTS, 3)))
 
 
 @dataclass(eq=False)
@@ -74,11 +77,11 @@ class Pairs:
     """
 
     count: int = 0
-    ends: Index = field(default_factory=lambda: np.zeros((8 * SLOTS, 2), np.int64))
-    z: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3)))
-    hessian: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3, 3)))
-    gradient: Array = field(default_factory=lambda: np.zeros((8 * SLOTS, 3)))
-    passes: Index = field(default_factory=lambda: np.zeros(8 * SLOTS, np.int64))
+    ends: Index = field(default_factory=lambda: np.zeros((16 * SLOTS, 2), np.int64))
+    z: Array = field(default_factory=lambda: np.zeros((16 * SLOTS, 3)))
+    hessian: Array = field(default_factory=lambda: np.zeros((16 * SLOTS, 3, 3)))
+    gradient: Array = field(default_factory=lambda: np.zeros((16 * SLOTS, 3)))
+    passes: Index = field(default_factory=lambda: np.zeros(16 * SLOTS, np.int64))
 
     def add(self, a: int, b: int) -> None:
         """Add the pair a, b, to be linearised."""
@@ -95,7 +98,7 @@ class Pairs:
 
     def renew(self, slots: list[int]) -> None:
         """Have all pairs with one of these keyframes linearised again."""
-        self.passes[:self.count][np.isin(self.ends[:self.count], slots).any(axis=1)] = 0
+        self.passes[:self.count][np.isin(self.ends[:self.count] % SLOTS, slots).any(axis=1)] = 0
 
 
 class Window:
@@ -133,10 +136,10 @@ class Window:
         self._rays: dict[int, Array] = {}          # of those that may be built again
 
     def add(self, rays: Array, moment: float, knots: Array) -> int:
-        """Merge prepared rays (n, 5) to a keyframe at a moment; pair it; return its slot."""
+        """Merge prepared rays (n, RAY) to a keyframe at a moment; pair it; return its slot."""
         slot = self._free.pop()
         self._rays[slot] = rays
-        self.frames.time[slot] = moment
+        self.frames.time[[slot, slot + SLOTS]] = moment
         self._admit(slot, knots)
         return slot
 
@@ -147,9 +150,18 @@ class Window:
                 *(self.frames.pose[slot] - self.frames.pose[self.order[-1]])[:2]))
         self._odometer[slot] = self.travelled
         for other in sorted(self._partners()):
-            self.pairs.add(slot, other)
-            self.pairs.add(other, slot)
+            self._pair(slot, other)
         self.order.append(slot)
+
+    def _pair(self, a: int, b: int) -> None:
+        """Compare two keyframes both ways, and their edges, if both have some."""
+        self.pairs.add(a, b)
+        self.pairs.add(b, a)
+        frames = self.frames
+        if frames.counts[a + SLOTS] and frames.counts[b + SLOTS]:
+            frames.pose[[a + SLOTS, b + SLOTS]] = frames.pose[[a, b]]
+            self.pairs.add(a + SLOTS, b + SLOTS)
+            self.pairs.add(b + SLOTS, a + SLOTS)
 
     def _partners(self) -> set[int]:
         """Return the slots that a keyframe at the end of the path is compared with."""
@@ -165,9 +177,11 @@ class Window:
         """Put the rays of a keyframe where the spline says, and fit its lines."""
         frames, rays = self.frames, self._rays[slot]
         t = frames.time[slot]
-        frames.counts[slot] = keyframe.build(
+        edges = slot + SLOTS
+        frames.counts[slot], frames.counts[edges] = keyframe.build(
             rays, knots, self._h, t, self._angle_step, max(1, len(rays) // RAYS_PER_STRIDE),
-            frames.surfels[slot], frames.bins[slot], frames.sight[slot])
+            frames.surfels[slot], frames.bins[slot], frames.surfels[edges, :EDGES],
+            frames.bins[edges], frames.sight[slot])
         velocity_at(knots, self._h, t, self._velocity[slot])
         pose_at(knots, self._h, t, np.empty(4), frames.pose[slot])
 
@@ -217,7 +231,7 @@ class Window:
         frames, pairs, order = self.frames, self.pairs, self.order
         pairs.keep(frames.time[pairs.ends[:pairs.count]].max(axis=1, initial=-np.inf) >= begin)
         recent = set(order[-self._recent:])
-        used = recent | set(pairs.ends[:pairs.count].ravel().tolist())
+        used = recent | set((pairs.ends[:pairs.count] % SLOTS).ravel().tolist())
         reach = max(self._distances, default=0.0) + 1.0
         kept, at = [], -np.inf
         for slot in order:
