@@ -17,8 +17,7 @@ from stri_mapping.stri.surfel import FACE_SCATTER, NX, NY, X, Y
 MOUNT = geometry.transform([0.0, 0.0, 1.2], [0.0, 0.0, np.pi / 2])
 PERIOD = 1.0 / 75.0
 NOISE, SPECKLE = 0.01, 0.03           # metres; share of the brightness
-# the way from where columns begin to be seen to where they do
-BARE = 90.0
+BARE = 90.0                           # metres between the columns at either end of a wall
 
 
 def row(begin, end):
@@ -79,9 +78,9 @@ def test_columns_at_both_ends_tell_the_way_along_a_bare_wall():
     scans, way = drive([(-60.0, 8.0, 160.0, 8.0)] + near + beyond, 15.0, 60.0)
     _, final = run(MOUNT, scans)
     off = np.abs(np.array([e.pose[0] for e in final]) - way)
-    # faces are known to their scatter, and are passed on once, from those behind to those ahead
-    assert off.max() < 2.0 * FACE_SCATTER
+    # faces are known to their scatter, and are passed on once, from those behind to those ahead;
     # blind, the wave of the speed alone would take it metres off
+    assert off.max() < 2.0 * FACE_SCATTER
 
 
 def painted(seed):

@@ -191,7 +191,7 @@ class StriEstimator:
         brightness = np.full(len(scan), np.nan) if scan.intensities is None else scan.intensities
         ranges = np.where(scan.valid, scan.ranges, np.inf)
         angles = self._handed * scan.angles
-        n = prepare_rays(ranges, angles, scan.times, labels, brightness.astype(np.float64), start,
+        n = prepare_rays(ranges, angles, scan.times, labels, brightness, start,
                          self.config.joint.far, rays)
         return rays[:n], start, start + (float(scan.times.max()) if len(scan) else 0.0)
 

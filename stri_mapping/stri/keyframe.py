@@ -91,10 +91,7 @@ def build(
     use = np.flatnonzero(~lines_of_sight)
     order = use[np.argsort(bearings[use])]
     n = len(order)
-    xy = np.empty((n, 2))
-    for i in range(n):
-        xy[i] = points[order[i]]
-    lone, brightness = rays[order, LONE], rays[order, BRIGHTNESS]
+    xy, lone, brightness = points[order], rays[order, LONE], rays[order, BRIGHTNESS]
     runs = number_runs(xy)
     sums = running_sums(xy, rays[order, RANGE], lone)
     low, high = np.empty((len(WINDOWS), n), np.int32), np.empty((len(WINDOWS), n), np.int32)

@@ -67,7 +67,7 @@ def linearise(
         (3, 3) and (3,) written.
     votes
         (labels + 1,) accepted weight of the surfels that see motion forward, added up by a's
-        label; the last is left alone.
+        label; the last counts how often that was done.
 
     """
     cos, sin = math.cos(z[2]), math.sin(z[2])
@@ -75,6 +75,7 @@ def linearise(
     g0 = g1 = g2 = 0.0
     n00 = n01 = n11 = 0.0
     asked = forward[0] ** 2 + forward[1] ** 2
+    votes[-1] += asked
     for r in range(first, count_a, stride):
         k, px, py, e, w = _match(a[r], b, count_b, bins_b, z, cos, sin, scale, pull)
         if k < 0:

@@ -122,15 +122,14 @@ def _add_pairs(
         turned = abs(now[2] - z[p, 2]) > TURNED
         if passes[p] == 0 or moved or turned or (new and passes[p] < annealed):
             stride = max(1, counts[a] // RESIDUALS)
-            asked = time[a] >= newest and 0.0 < time[a] - time[b] < VOTES
-            # edges, in the other half of the slots, are heard with the lines they lie on
-            if asked and a < len(time) // 2:
-                votes[-1] += forward[0] ** 2 + forward[1] ** 2
+            comparisons = votes[-1]
             linearise(
                 surfels[a], counts[a], surfels[b], counts[b], bins[b], now,
                 scale if new else final, (a + b) % stride, stride, pull, trust,
-                forward if asked else still,
+                forward if time[a] >= newest and 0.0 < time[a] - time[b] < VOTES else still,
                 hessian[p], gradient[p], votes)
+            if a >= len(time) // 2:     # edges are heard with the lines they lie on
+                votes[-1] = comparisons
             z[p] = now
             passes[p] += 1
         for d in range(3):
