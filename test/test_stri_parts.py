@@ -1,6 +1,6 @@
 # Copyright 2026 The stri_mapping authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator's parts: surfaces, spline, lines, residuals, proposals, trust, range error."""
+"""The estimator's parts: surfaces, spline, lines, residuals, proposals, trust."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,7 +13,6 @@ from stri_mapping.stri import keyframe, pairs, surfel
 from stri_mapping.stri.edges import EDGES
 from stri_mapping.stri.estimate import of_base, speed_sigma
 from stri_mapping.stri.proposal import Profile, SlopeSearch
-from stri_mapping.stri.range_error import RangeError, TURN
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.rays import prepare_rays, RAY
 from stri_mapping.stri.recovery import Recovery
@@ -327,49 +326,6 @@ def test_without_anything_to_see_the_proposal_is_to_stand():
         search.add((0.01 * k, ANGLES, np.full(181, np.nan)))
     twist, _ = search.best()
     np.testing.assert_allclose(twist, 0.0, atol=1e-9)
-
-
-def turned_by_pull(error, pose, pull, step):
-    """Move along a wall as the estimator would, its heading turned by what is not corrected."""
-    # the wall stands across x, so its way is along y
-    return pose + [0.0, step, TURN * (pull - error.value) * step]
-
-
-def test_the_pull_of_slanted_footprints_is_learnt_from_a_wall():
-    pull, rng, error = 4e-5, np.random.default_rng(7), RangeError(2e-5, 2e-5)
-    pose = np.zeros(3)
-    for k in range(60):
-        ranges = look(LEFT, WALL)
-        slant = 8.0 * np.tan(ANGLES[1:-1]) / np.cos(ANGLES[1:-1])
-        ranges[1:-1] -= pull * slant ** 2
-        scans = [prepared(ranges + 0.01 * rng.standard_normal(181)) for _ in range(15)]
-        surfels, count, _, _ = build(np.concatenate(scans))
-        pose = turned_by_pull(error, pose, pull, -0.5)
-        error.learn(surfels[:count], pose, 0.5 * k)
-    # the prior holds it back where walls tell little; here they tell much
-    assert error.value == pytest.approx(pull, rel=0.25)
-
-
-@pytest.mark.parametrize('pull', [0.0, 4e-5])
-@pytest.mark.parametrize('step', [-0.7, 0.7])
-def test_the_pull_is_learnt_from_short_walls_in_line(pull, step):
-    # every house 6 m long, out of line by 0.15 degrees, a parked car before every third
-    rng, error, pose = np.random.default_rng(11), RangeError(2e-5, 2e-5), np.zeros(3)
-    house = np.deg2rad(0.15) * rng.standard_normal(100)
-    car = np.deg2rad(1.5) * rng.standard_normal(100)
-    for k in range(600):
-        pose = turned_by_pull(error, pose, pull, step)
-        at = abs(int(0.7 * k / 6.0))
-        normal = (car if at % 3 == 0 else house)[at] + 0.005 * rng.standard_normal(80)
-        surfels = np.zeros((80, surfel.SURFEL))
-        along = np.linspace(-1.5, 1.5, 80)      # too short a piece to show a bend
-        surfels[:, surfel.X] = 8.0
-        surfels[:, surfel.Y] = along
-        surfels[:, surfel.NX], surfels[:, surfel.NY] = -np.cos(normal), -np.sin(normal)
-        error.learn(surfels, pose, 0.7 * k)
-    # 0.15 degrees of 47 houses over 420 m leave a tenth of a degree in 100 m, or 0.7e-5
-    assert error.value == pytest.approx(pull, abs=0.7e-5)
-    assert abs(np.rad2deg(pose[2])) < 0.9        # 1.2 degrees and more had nothing been learnt
 
 
 def test_a_surface_earns_trust_and_loses_it_as_a_whole():

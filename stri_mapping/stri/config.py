@@ -41,9 +41,10 @@ class JointConfig:
         Knot intervals collected before the first fit.
     iterations
         Of Gauss-Newton, at most, for each new knot.
-    pull, pull_sigma
+    pull, pull_sigma, pulls
         Of slanted footprints, 1/m, before anything is learnt of it, and how sure that is (see
-        `range_error`): 4e-5 for a beam of 11.9 mrad on a real street, less for a narrow one.
+        `range_error`): 4e-5 for a beam of 11.9 mrad on a real street, less for a narrow one; and
+        how likely it is that there is such a pull at all (see `slant`).
     learn_error
         Whether the pull is learnt and corrected.
     judge_surfaces
@@ -67,8 +68,9 @@ class JointConfig:
     far: float = 80.0
     start_steps: int = 8
     iterations: int = 7
-    pull: float = 2e-5
-    pull_sigma: float = 2e-5
+    pull: float = 3e-5
+    pull_sigma: float = 1.5e-5
+    pulls: float = 0.5
     learn_error: bool = True
     judge_surfaces: bool = True
 
@@ -103,4 +105,5 @@ class EstimatorConfig:
         """Return the same settings for a scanner whose footprint pull is known, 1/m or None."""
         if pull is None:
             return self
-        return replace(self, joint=replace(self.joint, pull=pull, pull_sigma=KNOWN_PULL_SIGMA))
+        return replace(self, joint=replace(
+            self.joint, pull=pull, pull_sigma=KNOWN_PULL_SIGMA, pulls=1.0))

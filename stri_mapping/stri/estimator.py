@@ -22,6 +22,7 @@ from stri_mapping.stri.config import EstimatorConfig
 from stri_mapping.stri.estimate import Estimate, of_base, speed_sigma
 from stri_mapping.stri.joint import JointPath
 from stri_mapping.stri.proposal import Profile, SlopeSearch
+from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.range_image import RangeImage, RangeImageLog
 from stri_mapping.stri.rays import prepare_rays, RAY
 from stri_mapping.stri.recovery import changed_twist, Recovery
@@ -83,7 +84,10 @@ class StriEstimator:
     @property
     def footprint_pull(self) -> float:
         """By how much ranges fall short on slanted surfaces, 1/m, as learnt so far."""
-        return self.config.joint.pull if self._path is None else self._path.error.value
+        joint = self.config.joint
+        error = (RangeError(joint.pull, joint.pull_sigma, joint.pulls) if self._path is None
+                 else self._path.error)
+        return error.value
 
     def add(self, scan: Scan) -> Estimate | None:
         """

@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.stri.config import JointConfig
 from stri_mapping.stri.estimate import of_base, speed_sigma
+from stri_mapping.stri.keyframe import merge
 from stri_mapping.stri.range_error import RangeError
 from stri_mapping.stri.rays import LABEL, RAY
+from stri_mapping.stri.slant import pieces
 from stri_mapping.stri.smoother import solve
 from stri_mapping.stri.spline import pose_at, velocity_at
 from stri_mapping.stri.trust import LABELS, NEW, Trust
@@ -78,7 +80,7 @@ class JointPath:
         self.settled = 0          # first knot that is not final
         self.sigma = np.inf       # of the speed at the newest knot, m/s
         self.uncertainty = Uncertainty(spacing)
-        self.error = RangeError(config.pull, config.pull_sigma)
+        self.error = RangeError(config.pull, config.pull_sigma, config.pulls)
         self.trust = Trust()
         self.window = Window(spacing, angle_step, config.lags, config.distances, config.active)
         self.slow = spacing > SLOW
@@ -236,11 +238,14 @@ class JointPath:
         self._newest = np.concatenate([s[2] for s in new])
         # amid all its rays: an error of the velocity by which they are merged then does no harm
         moment = 0.5 * (merged[0][0] + merged[-1][1])
-        slot = self.window.add(np.concatenate([s[2] for s in merged]), moment, self.knots)
+        rays = np.concatenate([s[2] for s in merged])
+        slot = self.window.add(rays, moment, self.knots)
         if self.config.learn_error:
             frames = self.window.frames
-            self.error.learn(frames.surfels[slot, :frames.counts[slot]], frames.pose[slot],
-                             self.window.travelled)
+            self.error.learn(
+                frames.surfels[slot, :frames.counts[slot]],
+                lambda: pieces(*merge(rays, self.knots, self.h, moment), rays),
+                frames.pose[slot], self.window.travelled)
         self._scans = [s for s in self._scans if s[1] > end - self.config.span - self.h]
         return moment
 

@@ -84,7 +84,7 @@ def build(
         Number of surfels and of edges written.
 
     """
-    points, bearings = _merge(rays, knots, h, moment)
+    points, bearings = merge(rays, knots, h, moment)
     look(points, bearings, sight)
     sparse = len(rays) < SPARSE
     lines_of_sight = (rays[:, LONE] == SIGHT_ONLY) | (sparse & (rays[:, LONE] == IN_ROW))
@@ -118,8 +118,8 @@ def build(
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _merge(rays: Array, knots: Array, h: float, moment: float) -> tuple[Array, Array]:
-    """Return points (n, 2) in the frame at the moment, and their bearings (n,)."""
+def merge(rays: Array, knots: Array, h: float, moment: float) -> tuple[Array, Array]:
+    """Return points (n, 2) in the frame at the moment, and their bearings (n,), see `build`."""
     n = len(rays)
     points, bearings = np.empty((n, 2)), np.empty(n)
     weights, home, pose = np.empty(4), np.empty(3), np.empty(3)

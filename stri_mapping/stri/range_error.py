@@ -10,17 +10,20 @@ bend themselves (see `straightness`); most are too short, and have steps of thei
 of one street stand in line: with the wrong b their directions drift with the way, with the right
 one they come back again and again.  So b is what makes the directions of walls along the way fall
 together best, whatever other directions there are besides: parked cars, side streets, the street
-after the next corner.
+after the next corner.  That takes a hundred metres; before it, what is seen at one moment ahead
+and behind tells most (see `slant`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stri_mapping.stri.slant import Slants
 from stri_mapping.stri.straightness import Bends, commonest_normal
 from stri_mapping.stri.surfel import NORMAL_VAR, NX, NY, X, Y
 
@@ -47,8 +50,9 @@ class RangeError:
 
     Parameters
     ----------
-    mean, sigma
-        What is known of b before anything is seen, 1/m.
+    mean, sigma, smooth
+        What is known of b before anything is seen, 1/m, if it is a pull that grows smoothly with
+        the slant, and how likely that is (see `slant`).
 
     Attributes
     ----------
@@ -57,10 +61,11 @@ class RangeError:
 
     """
 
-    def __init__(self, mean: float, sigma: float) -> None:
+    def __init__(self, mean: float, sigma: float, smooth: float) -> None:
         """Start from the prior."""
-        self.value = mean
-        self._log = -0.5 * ((CANDIDATES - mean) / sigma) ** 2     # of streets before, and prior
+        self._slants = Slants(CANDIDATES, mean, sigma, smooth)
+        self._streets = np.zeros(len(CANDIDATES))         # what streets before say
+        self._street = np.zeros(len(CANDIDATES))          # and with this one
         self._seen = np.zeros((len(CANDIDATES), BINS))    # directions, turned back by each b
         self._together = np.zeros(len(CANDIDATES))        # how much they fall together
         self._bends = Bends()
@@ -69,8 +74,11 @@ class RangeError:
         self._turned = 0.0        # m times b that was corrected on the way
         self._normal = math.nan   # of the wall seen last, from the scanner
         self._last = np.full(2, np.nan)
+        self.value = self._likely()
 
-    def learn(self, surfels: Array, pose: Array, travelled: float) -> None:
+    def learn(
+        self, surfels: Array, walls: Callable[[], Array], pose: Array, travelled: float,
+    ) -> None:
         """
         Take one keyframe.
 
@@ -78,6 +86,8 @@ class RangeError:
         ----------
         surfels
             (n, SURFEL) of the keyframe, uncorrected.
+        walls
+            Gives its pieces of wall (m, PIECE), see `slant.pieces`; called every metre.
         pose
             (3,) of the scanner in its first frame, as estimated.
         travelled
@@ -99,6 +109,8 @@ class RangeError:
         self._last = pose[:2].copy()
         if not math.isnan(normal):
             self._look(normal + pose[2], slant)
+        self._slants.add(walls(), self.value)
+        self.value = self._likely()
 
     def _look(self, direction: float, slant: float) -> None:
         """Take a wall's direction in the first scan's frame, and what b turns it at its slant."""
@@ -106,15 +118,18 @@ class RangeError:
         _gather(((direction - turned) % math.pi) / BIN, KERNEL, self._seen, self._together)
         self._looks += 1
         weight = self._looks / SAME_WALL
-        log = self._log + weight * np.log(self._together / self._together.max())
+        self._street = self._streets + weight * np.log(self._together / self._together.max())
         if abs(self._way) > STREET:
-            self._log = log
+            self._streets = self._street
             self._seen[:] = self._together[:] = 0.0
             self._looks, self._way, self._turned = 0, 0.0, 0.0
+
+    def _likely(self) -> float:
+        """Return the mean of b by all that is known."""
         mean, information = self._bends.mean()
-        log = log - 0.5 * information * (CANDIDATES - mean) ** 2
+        log = self._street + self._slants.log() - 0.5 * information * (CANDIDATES - mean) ** 2
         likely = np.exp(log - log.max())
-        self.value = float(likely @ CANDIDATES / likely.sum())
+        return float(likely @ CANDIDATES / likely.sum())
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

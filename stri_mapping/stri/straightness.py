@@ -15,7 +15,7 @@ from stri_mapping.stri.surfel import NX, NY, PULL, X, Y
 Array = NDArray[np.float64]
 
 MEMORY = 200.0        # metres of path over which walls are remembered
-SAME_WALL = 15.0      # keyframes see the same wall again and again: so many count as one
+SAME_WALL = 5.0       # keyframes see the same wall again and again: so many count as one
 WALLS = 3             # looked for in a keyframe
 MIN_LENGTH = 6.0      # metres of a wall from which its bend can be told
 SCALE = 0.02          # metres from the line at which a surfel counts half

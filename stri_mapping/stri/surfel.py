@@ -142,7 +142,6 @@ def fit(
     """
     x, y = xy[i, 0], xy[i, 1]
     r = math.hypot(x, y)
-    sigma = ray_sigma(r)
     if sparse and high[0, i] - low[0, i] == 1:
         # far down a corridor this is all that tells the way
         _face_the_scanner(x, y, r, 0.0, surfel)
@@ -152,10 +151,52 @@ def fit(
         begin, end = sums[0, low[1, i]], sums[0, high[1, i]]
         if _face(x, y, r, begin, end, surfel):
             return True
-    for w in range(0 if sparse else 1, low.shape[0]):
-        m, mx, my, xx, yy, xy_ = _moments(sums[kind, low[w, i]], sums[kind, high[w, i]])
-        if m < (MIN_POINTS_SPARSE if sparse else MIN_POINTS):
-            return False
+    nx, ny, offset, variance = straight(
+        i, xy, sums[kind], low, high, 0 if sparse else 1,
+        MIN_POINTS_SPARSE if sparse else MIN_POINTS)
+    if variance == np.inf:
+        return False
+    facing = max(abs(nx * x + ny * y) / r, 0.05)
+    step = r * angle_step * math.sqrt(max(0.0, 1.0 - facing * facing)) / facing
+    surfel[X], surfel[Y] = x - offset * nx, y - offset * ny
+    surfel[NX], surfel[NY] = nx, ny
+    surfel[NORMAL_VAR] = variance
+    surfel[PULL] = r * r * (1.0 - facing * facing) / facing
+    return bool((kind == 1 or facing > HEAD_ON) and step < GRAZING_FITTED)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def straight(
+    i: int, xy: Array, sums: Array, low: NDArray[np.int32], high: NDArray[np.int32],
+    first: int, least: int,
+) -> tuple[float, float, float, float]:
+    """
+    Fit a line to the widest neighbourhood of a point that holds one at the sensor's noise.
+
+    Parameters
+    ----------
+    i, xy, low, high
+        See `fit`.
+    sums
+        (n + 1, 8) running sums of the points that may bend the line.
+    first
+        Number of the widest window to be tried.
+    least
+        Points that it takes.
+
+    Returns
+    -------
+    tuple
+        The normal x, y towards the scanner; metres from the line to the point along it; variance
+        of its direction, infinite where there is no line.
+
+    """
+    x, y = xy[i, 0], xy[i, 1]
+    sigma = ray_sigma(math.hypot(x, y))
+    for w in range(first, low.shape[0]):
+        m, mx, my, xx, yy, xy_ = _moments(sums[low[w, i]], sums[high[w, i]])
+        if m < least:
+            break
         mean, spread = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy_ * xy_)
         long, thick = mean + spread, max(mean - spread, 0.0)
         if (thick * m / max(m - 2.0, 1.0) >= (1.4 * sigma) ** 2 or long <= 8.0 * thick
@@ -166,16 +207,11 @@ def fit(
         offset = (x - mx) * nx + (y - my) * ny
         if abs(offset) >= 2.5 * sigma:
             continue
+        variance = sigma * sigma / (m * long)
         if nx * x + ny * y > 0.0:
-            nx, ny, offset = -nx, -ny, -offset
-        facing = max(abs(nx * x + ny * y) / r, 0.05)
-        step = r * angle_step * math.sqrt(max(0.0, 1.0 - facing * facing)) / facing
-        surfel[X], surfel[Y] = x - offset * nx, y - offset * ny
-        surfel[NX], surfel[NY] = nx, ny
-        surfel[NORMAL_VAR] = sigma * sigma / (m * long)
-        surfel[PULL] = r * r * (1.0 - facing * facing) / facing
-        return bool((kind == 1 or facing > HEAD_ON) and step < GRAZING_FITTED)
-    return False
+            return -nx, -ny, -offset, variance
+        return nx, ny, offset, variance
+    return 0.0, 0.0, 0.0, np.inf
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
