@@ -56,7 +56,7 @@ class JointConfig:
     active: int = 12
     kept: int = 17
     lags: tuple[int, ...] = (1, 2, 4, 7)
-    distances: tuple[float, ...] = (3.0, 6.0, 10.0)
+    distances: tuple[float, ...] = (3.0, 6.0, 10.0, 20.0)
     span: float = 0.1
     jerk: float = 6.0
     angular_jerk: float = 3.0
