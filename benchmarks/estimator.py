@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from stri_mapping import geometry
 from stri_mapping.metrics import path_metrics, speed_metrics
 from stri_mapping.scan import Scan
+from stri_mapping.simulation.beam import ECHOES
 from stri_mapping.simulation.drive import Drive, make_drive, START_NS
 from stri_mapping.simulation.scenes import Options
 from stri_mapping.stri.config import EstimatorConfig, JointConfig
@@ -75,10 +76,13 @@ def scanner_path(final: list[Estimate], mount: Array) -> Trajectory:
     return Trajectory(stamps, poses)
 
 
-def make(scene: str, seed: int, remission: bool = False) -> tuple[list[Scan], Trajectory]:
-    """Return the horizontal scans of a drive, with remission or not, and the true path."""
+def make(
+    scene: str, seed: int, remission: bool = False, echo: str = 'pulse',
+) -> tuple[list[Scan], Trajectory]:
+    """Return the horizontal scans of a drive, by a scanner of some kind, and the true path."""
     drive = make_drive(scene, Options(seed), vehicle=Vehicle((VEHICLE.horizontal,)))
     drive.scanners[0].remission = remission
+    drive.scanners[0].model = replace(drive.scanners[0].model, echo=echo)
     return [timed.scan for timed in drive.scans()], scanner_truth(drive)
 
 
@@ -142,6 +146,8 @@ def main() -> None:
                         help='of slanted footprints, 1/m, as an earlier drive has told it')
     parser.add_argument('--remission', action='store_true',
                         help='the scanner sends remission, whose edges are used')
+    parser.add_argument('--echo', choices=ECHOES, default='pulse',
+                        help='what the scanner makes of slanted footprints and edges')
     parser.add_argument('--ablate', action='store_true',
                         help='rows without each part of the estimator')
     args = parser.parse_args()
@@ -155,7 +161,7 @@ def main() -> None:
         if args.ablate:
             ablate(scene, seed)
             continue
-        figures, taken = run(*make(scene, seed, args.remission), config)
+        figures, taken = run(*make(scene, seed, args.remission, args.echo), config)
         speeds.append(figures['velocity_rmse_mps'])
         drifts.append(figures['drift_percent'])
         row(f'{scene} {seed}', figures, taken)

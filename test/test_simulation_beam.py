@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 from stri_mapping import geometry
-from stri_mapping.simulation.beam import echo_range, PATTERN, RISE, SUB_RAYS, sub_rays, TRIGGER
+from stri_mapping.simulation.beam import (
+    echo_range,
+    ECHOES,
+    NEAR_SHARE,
+    PATTERN,
+    RISE,
+    SUB_RAYS,
+    sub_rays,
+    TRIGGER,
+)
 
 returns = st.lists(st.tuples(st.floats(0.5, 60.0), st.floats(1e-6, 1.0)), min_size=1, max_size=7)
 
 
-def one(distance, energy):
-    ranges, _ = echo_range(np.array([distance], float), np.array([energy], float))
+def one(distance, energy, echo='pulse'):
+    ranges, _ = echo_range(np.array([distance], float), np.array([energy], float), echo)
     return float(ranges[0])
 
 
@@ -77,9 +86,31 @@ def test_grazing_incidence_pulls_to_the_near_side_and_more_the_flatter():
     assert pulls[1] == pytest.approx(0.84 * (np.hypot(RISE, 0.0377) - RISE), rel=0.2)
 
 
-def test_no_light_is_no_range():
-    ranges, energy = echo_range(np.full((2, SUB_RAYS), np.inf), np.zeros((2, SUB_RAYS)))
+@pytest.mark.parametrize('echo', ECHOES)
+def test_no_light_is_no_range(echo):
+    ranges, energy = echo_range(np.full((2, SUB_RAYS), np.inf), np.zeros((2, SUB_RAYS)), echo)
     assert np.all(np.isinf(ranges)) and not energy.any()
+
+
+@pytest.mark.parametrize(('echo', 'degrees', 'share'), [
+    *(('middle', degrees, 0.0) for degrees in (0.0, 45.0, 75.0)),
+    ('near side', 0.0, 0.0), ('near side', 45.0, 0.0), ('near side', 75.0, 0.5 - NEAR_SHARE)])
+def test_simpler_receivers_read_the_middle_or_beyond_a_slant_the_near_side(echo, degrees, share):
+    angle = np.deg2rad(degrees)
+    r = 8.0 / np.cos(angle)
+    footprint = 0.008 + 0.00595 * r
+    distance = r + footprint * np.tan(angle) * PATTERN[:, 0]
+    pull = r - one(distance, np.ones(SUB_RAYS), echo)
+    assert pull == pytest.approx(share * np.ptp(distance), abs=1e-9)
+
+
+def test_simpler_receivers_at_an_edge_read_between_its_surfaces():
+    distance, light = np.full(SUB_RAYS, 5.0), np.ones(SUB_RAYS)
+    distance[-2:] = 8.0
+    assert one(distance, light, 'middle') == pytest.approx(5.0 + 3.0 * 2.0 / SUB_RAYS)
+    assert one(distance, light, 'near side') == 5.0
+    distance[0] = 8.0
+    assert 5.0 < one(distance, light, 'near side') == distance.mean()
 
 
 def test_pattern_has_the_second_moments_of_a_uniform_disc():

@@ -45,6 +45,8 @@ class LmsModel:
         Full angle of the beam in radians, and its diameter at the window in metres.
     dropout
         Share of rays lost for no reason.
+    echo
+        What it makes of a footprint, see `beam.echo_range`.
 
     """
 
@@ -57,6 +59,7 @@ class LmsModel:
     divergence: float = 0.0119
     spot: float = 0.016
     dropout: float = 2e-4
+    echo: str = 'pulse'
 
     @property
     def rasters(self) -> int:

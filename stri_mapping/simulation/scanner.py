@@ -136,7 +136,8 @@ class VirtualScanner:
             self.scene.motion.at(times), bearings, self.scanner.T_base_laser, self.model.spot,
             self.model.divergence)
         distance, energy = self.scene.look(times, origins, directions)
-        ranges, total = echo_range(distance.reshape(-1, SUB_RAYS), energy.reshape(-1, SUB_RAYS))
+        ranges, total = echo_range(distance.reshape(-1, SUB_RAYS), energy.reshape(-1, SUB_RAYS),
+                                   self.model.echo)
         ranges[self.scene.dazzled(directions[::SUB_RAYS], ranges)] = np.nan
         return ranges, total / SUB_RAYS
 
