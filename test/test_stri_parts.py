@@ -19,7 +19,16 @@ from stri_mapping.stri.recovery import Recovery
 from stri_mapping.stri.segmentation import Segmenter, UNLABELLED
 from stri_mapping.stri.sight import count_left, count_through
 from stri_mapping.stri.spline import pose_at, velocity_at
-from stri_mapping.stri.trust import LABELS, MOVES, NEW, STEADY, Trust, WAYWARD, WITNESS
+from stri_mapping.stri.trust import (
+    LABELS,
+    MOVES,
+    NEW,
+    STEADY,
+    Trust,
+    USUAL_ROUNDS,
+    WAYWARD,
+    WITNESS,
+)
 
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
 H = 0.1
@@ -326,6 +335,20 @@ def test_without_anything_to_see_the_proposal_is_to_stand():
         search.add((0.01 * k, ANGLES, np.full(181, np.nan)))
     twist, _ = search.best()
     np.testing.assert_allclose(twist, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(('new', 'votes', 'alone'), [
+    (0, [300.0], 1.0), (0, [200.0, 200.0], 0.5),
+    # one witness is worth WITNESS votes at most, so that a few others are company
+    (0, [1e4, 25.0, 25.0, 25.0, 25.0], 1.0 / 1.8),
+    # and who has just come into view says little yet
+    (1, [200.0, 200.0], 1.0 / (1.0 + NEW))])
+def test_a_surface_that_tells_all_of_the_motion_is_noticed(new, votes, alone):
+    trust = Trust()
+    trust.add(new)
+    trust.votes[:len(votes)], trust.votes[-1] = votes, USUAL_ROUNDS
+    trust.update(np.zeros(20), True, False)
+    assert trust.alone == pytest.approx(alone, abs=0.01)
 
 
 def test_a_surface_earns_trust_and_loses_it_as_a_whole():

@@ -13,7 +13,6 @@ from stri_mapping.stri.config import JointConfig
 from stri_mapping.stri.keyframe import merge
 from stri_mapping.stri.range_error import CANDIDATES, RangeError, TURN
 from stri_mapping.stri.slant import (
-    _turned,
     DEEP,
     DIRECTION,
     FEWEST,
@@ -24,6 +23,7 @@ from stri_mapping.stri.slant import (
     pieces,
     PULLED,
     Slants,
+    turned,
     WEIGHT,
 )
 
@@ -141,7 +141,7 @@ def test_a_pull_turns_a_wall_by_the_slope_of_what_it_takes_off(d, x):
 
     step = 1e-4 * x
     slope = (nearer(x + step) - nearer(x - step)) / (2.0 * step)
-    assert _turned(d, x) == pytest.approx(slope, rel=1e-5)
+    assert turned(d, x) == pytest.approx(slope, rel=1e-5)
 
 
 def test_pieces_of_a_wall_are_turned_as_their_columns_say():
@@ -166,10 +166,10 @@ def test_one_look_says_little_and_the_same_however_the_scanner_is_turned(seed, t
     found[:, PULLED], found[:, NEAR_SIDE] = rng.uniform(-300.0, 300.0, 200), 0.0
     found[:, DIRECTION] = 0.3 + 6e-5 * found[:, PULLED] + 1e-3 * rng.standard_normal(200)
     found[:, WEIGHT] = 1e5
-    turned = found.copy()
-    turned[:, DIRECTION] += turn
+    elsewhere = found.copy()
+    elsewhere[:, DIRECTION] += turn
     logs = []
-    for look_at in (found, turned):
+    for look_at in (found, elsewhere):
         slants = Slants(CANDIDATES, 3e-5, 1.5e-5, 0.5)
         before = slants.log()
         slants.add(look_at, 0.0)

@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 RECENT = 0.64               # seconds of scans kept for proposing a motion
 TAKE_UP_EVERY = 3           # knot intervals between looks for a lost motion
 DOUBT = 0.4                 # share of votes for the motion below which it is doubted
+ALONE = 0.8                 # share of them that one surface has, above which it is doubted, too
 
 
 class StriEstimator:
@@ -260,7 +261,8 @@ class StriEstimator:
     def _another_motion(self) -> tuple[Array, float] | None:
         """Return twist and acceleration of a motion that is to replace the path's, if any."""
         assert self._path is not None
-        sigma, doubted = self._path.sigma, self._path.trust.agreement < DOUBT
+        sigma, trust = self._path.sigma, self._path.trust
+        doubted = trust.agreement < DOUBT or (trust.alone > ALONE and not self._path.slow)
         lost = sigma > self.config.lost_sigma or doubted
         if not lost and self._recovery.confirmed:
             return None

@@ -4,10 +4,10 @@
 What a keyframe says of slanted footprints: walls have one direction, at whatever slant.
 
 A pull bends a wall more the more slanted it is met (see `range_error`): each piece of it is
-turned, by degrees where it is grazed.  Houses of a street stand in line, so at one moment all
+turned, most where it is grazed.  Houses of a street stand in line, so at one moment all
 that is seen of them, ahead and behind, has one direction, or that at a right angle, once the pull
 is taken off.  Rays too slanted to tell the motion tell the pull best: with b = 4e-5 1/m a wall 8 m
-to the side is turned by 0.2 degrees where it is met at 60 degrees from its normal, by 0.7 at 75.
+to the side is turned by 0.06 degrees where it is met at 45 degrees from its normal, 0.3 at 75.
 
 Devices differ.  Either the pull grows smoothly with the slant; or ranges are right up to some
 slant, and beyond it the footprint's near side is what is measured, which turns all that is ahead
@@ -149,7 +149,7 @@ def pieces(points: Array, bearings: Array, rays: Array) -> Array:
         slant = math.hypot(facing, along) * abs(along) / facing
         if slant < LAST:
             found[count, DIRECTION] = math.atan2(ny, nx)
-            found[count, PULLED] = -math.copysign(_turned(facing, abs(along)), along)
+            found[count, PULLED] = -math.copysign(turned(facing, abs(along)), along)
             found[count, NEAR_SIDE] = -math.copysign(
                 min(max((slant / KNEE - 0.7) / 0.6, 0.0), 1.0), along)
             found[count, WEIGHT] = 1.0 / (variance + CROOKED ** 2)
@@ -158,12 +158,12 @@ def pieces(points: Array, bearings: Array, rays: Array) -> Array:
 
 
 @numba.njit(cache=True, inline='always')  # type: ignore[untyped-decorator]
-def _turned(d: float, x: float) -> float:
+def turned(d: float, x: float) -> float:
     """
     Return by how much b = 1 1/m turns a wall, radians, x metres along it from its foot at d.
 
     The wall seems nearer by y = cos(a) P(q), q = r tan(a) = r x / d, P = q^2 / (1 + q / DEEP);
-    this is dy/dx.
+    this is dy/dx.  Both lengths in metres, positive.
     """
     r = math.hypot(d, x)
     q = r * x / d
@@ -200,9 +200,9 @@ def disagreement(found: Array, likely: float, laws: Array) -> Array:
             scale *= SCALE
             total, moment, squares = 0.0, 0.0, 0.0
             for k in range(len(found)):
-                turned = laws[law, 0] * found[k, PULLED] + laws[law, 1] * found[k, NEAR_SIDE]
+                off = laws[law, 0] * found[k, PULLED] + laws[law, 1] * found[k, NEAR_SIDE]
                 # to the nearest right angle
-                e = (found[k, DIRECTION] - turned - mean + 0.25 * math.pi) % (0.5 * math.pi)
+                e = (found[k, DIRECTION] - off - mean + 0.25 * math.pi) % (0.5 * math.pi)
                 e -= 0.25 * math.pi
                 z = (e / scale) ** 2
                 w = found[k, WEIGHT] / (1.0 + z) ** 2

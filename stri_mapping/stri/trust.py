@@ -7,7 +7,8 @@ A surface that comes into view counts little until it has agreed with the motion
 ones tell.  One that comes to, or leaves, places that other keyframes see through (see `sight`)
 loses its weight, all of it, its sides that slide along themselves included.  So a bus that draws
 alongside is out before it hides the street, and when it hides everything, nothing is left to be
-misled by.  Where known surfaces fall silent, it is the motion that is in doubt.
+misled by.  Where known surfaces fall silent, or a single one tells all, it is the motion that is
+in doubt.
 
 And a surface is one witness, however many rays it has: they err alike, on a bonnet that slopes as
 the body pitches, on a lorry that creeps.  The more one tells of the motion, the less each of its
@@ -55,6 +56,8 @@ class Trust:
         (2, LABELS) of each surface about the motion along the way, see `pairs.testify`.
     agreement
         How much of what surfaces known to stand used to say for the motion they say now.
+    alone
+        Share of what is said for the motion that a single surface says.
 
     """
 
@@ -67,7 +70,7 @@ class Trust:
         self._moved = np.zeros(LABELS, np.bool_)
         self._usual = np.zeros(LABELS)           # agreeing weight of a surface's ray, lately
         self._said = np.zeros(LABELS)            # agreeing weight of a surface, lately
-        self.agreement = 1.0
+        self.agreement, self.alone = 1.0, 0.0
         self._known = 0
 
     def add(self, surfaces: int) -> None:
@@ -110,6 +113,8 @@ class Trust:
         if clear:
             self._learn()
         self._said = np.maximum(agree, self._usual * rays)
+        told = self.weight * agree / (1.0 + agree / WITNESS)
+        self.alone = float(told.max() / max(told.sum(), 1e-9))
         whole = agree + self.through
         heard = whole > ENOUGH
         share = agree / np.maximum(whole, 1e-9)

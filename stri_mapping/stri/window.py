@@ -26,8 +26,8 @@ SEEN_THROUGH = (2, 4, 7, 12)            # keyframes back
 TESTIFY = (4, 7)                        # keyframes back
 APART = 0.06                  # metres, Geman-McClure scale of what surfaces say apart
 RAYS_ASKED, SURFELS_ASKED = 3, 2        # every so many
-KEEP_EVERY = 0.1              # metres of path between keyframes kept for pairs over distance
-KEEP_SECONDS = 40.0           # after which a keyframe is too old for a pair
+KEEP_EVERY = 0.05             # metres of path between keyframes kept for pairs over distance
+KEEP_SECONDS = 35.0           # after which a keyframe is too old for a pair: less than SLOTS knots
 OVERLAP = 0.75                # seconds of keyframes kept before those that are built again
 STALE_SHIFT, STALE_TURN = 0.003, 0.0008     # m, rad by which rays of a keyframe are misplaced
 
